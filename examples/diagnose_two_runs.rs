@@ -10,6 +10,7 @@ use std::error::Error;
 use drivebench::diagnosis::{Diagnosis, Evidence, diagnose};
 use drivebench::identification::output_error::FitError;
 use drivebench::plant::{Model, Motor, Scenario, testing};
+use drivebench::report::wording::diagnosis::diagnosis as sentence;
 
 /// What the runs say together about a motor of which the baseline is known.
 pub fn missing(fit: Scenario, holdout: Scenario) -> Result<Diagnosis, FitError> {
@@ -19,7 +20,7 @@ pub fn missing(fit: Scenario, holdout: Scenario) -> Result<Diagnosis, FitError> 
 
 fn main() -> Result<(), Box<dyn Error>> {
     let found = missing(testing::with_a_fan(0), testing::with_a_fan(3))?;
-    println!("{}", found.sentence);
+    println!("{}", sentence(&found));
     for one in found.candidates.iter().take(5) {
         println!("{:>24}  {:.3}", one.effect, one.probability);
     }

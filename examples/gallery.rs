@@ -15,6 +15,7 @@ use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::output_error::FitError;
 use drivebench::plant::effect::{CATALOGUE, Card, ParameterRole};
 use drivebench::plant::{ActiveEffect, Model, Motor, testing};
+use drivebench::report::wording::location::{self, axis_name};
 use drivebench::report::{curve_picture, plot};
 use drivebench::text::number::{significant, with_unit};
 
@@ -97,10 +98,10 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
             page,
             "![{name}: what the {} equation lacks over {}](gallery/{id}.svg)\n\nAt {sizes}: {}.",
             curve.equation,
-            curve.axis_name,
-            curve.sentence()
+            axis_name(curve),
+            location::curve(curve)
         );
-        if let Some(why) = &curve.why_axis {
+        if let Some(why) = location::why_axis(curve) {
             let _ = write!(page, " {why}.");
         }
     } else {

@@ -11,6 +11,7 @@ use drivebench::diagnosis::{AddResult, Evidence, add};
 use drivebench::identification::output_error::FitError;
 use drivebench::plant::effect::{Card, Enters, Terms};
 use drivebench::plant::{Effect, Instant, Model, Motor, ParameterSpec, testing};
+use drivebench::report::wording::change::change;
 
 /// A load that grows with the third power of the speed.
 struct Propeller;
@@ -55,7 +56,7 @@ pub fn judged() -> Result<AddResult, FitError> {
 
 fn main() -> Result<(), Box<dyn Error>> {
     let result = judged()?;
-    println!("accepted: {}; {}", result.accepted, result.reason);
+    println!("accepted: {}; {}", result.accepted, change(&result));
     for one in &result.parameters {
         println!("{} = {:?} ± {:?}", one.key, one.value, one.std);
     }

@@ -9,6 +9,8 @@ use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
 use crate::commands::evidence::Judging;
 use crate::report::Document;
 use crate::report::comparison::change_document;
+use crate::report::wording::location::axis_map as axis_map_words;
+use crate::report::wording::{change as words, json};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::{model_file, speed_command};
 use crate::runtime::output::{self, Terminal};
@@ -169,7 +171,7 @@ fn run(
     drop(shown);
     if adding.is_some_and(|adding| adding.force) && !result.accepted && result.can_be_forced() {
         result.force();
-        terminal.warn(&[format!("{}: {}", result.effect, result.reason)]);
+        terminal.warn(&[format!("{}: {}", result.effect, words::change(&result))]);
     }
     let before = &prepared.model.file.history;
     let run = Some(prepared.run.run.name.clone());
@@ -179,8 +181,10 @@ fn run(
         terminal.file(path, &file.to_toml())?;
         terminal.message(&format!("model written to {}", path.display()));
     }
-    let mut value = prepared.result(&result);
-    value["limits"] = value["after"]["limits"].take();
+    let mut value = prepared.result(&json::change(&result));
+    for key in ["limits", "limit_codes"] {
+        value[key] = value["after"][key].take();
+    }
     // The contract shows the signals of `compare` under before and after.
     for side in ["before", "after"] {
         value[side] = value[side]["signals"].take();
@@ -304,7 +308,7 @@ fn table(
     let knots = if arguments.knots.is_empty() {
         let maps = axis_map(&fit.model, training, noise)?;
         let found = chosen(maps, equation, axis)?;
-        terminal.message(&found.sentence);
+        terminal.message(&axis_map_words(&found));
         found.knots.into_iter().map(four_digits).collect()
     } else {
         arguments.knots.clone()

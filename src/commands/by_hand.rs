@@ -12,7 +12,7 @@ use serde::Serialize;
 
 use crate::commands::evidence::{EvidenceFiles, Judging, Place, Prepared, prepare};
 use crate::commands::pages;
-use crate::report::Document;
+use crate::report::{Document, wording};
 use crate::runtime::ending::{ScreenEnd, Watched, spawn, watched};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{Recorded, load, model_file};
@@ -81,7 +81,7 @@ impl Standing {
                 "{sign} {}: held-out error {:.2} {}",
                 result.effect,
                 rung.holdout_rmse,
-                result.after.noise_floor_from.times()
+                wording::times(result.after.noise_floor_from)
             ));
             self.is_written = false;
             self.since += 1;

@@ -21,6 +21,8 @@ use crate::commands::evidence::admit_later;
 use crate::commands::run::{BETWEEN_RUNS, RunDone, escalate, escalation_failure, run};
 use crate::commands::speed::{SpeedRequest, speed};
 use crate::commands::{by_hand, pages};
+use crate::report::wording::diagnosis as words;
+use crate::report::wording::next_run::next_run;
 use crate::report::{Document, tables};
 use crate::runtime::controls::Controls;
 use crate::runtime::ending::{Audience, ScreenEnd, conduct};
@@ -405,9 +407,10 @@ fn once_more(options: &RigOptions) -> RigOptions {
 fn answered(standing: &Standing) -> String {
     let changes = standing.heading();
     let answer = standing.diagnosis.as_ref();
-    let answer = answer.map_or("left before there was an answer", |found| &found.sentence);
+    let answer =
+        answer.map_or_else(|| "left before there was an answer".to_owned(), words::diagnosis);
     let model = standing.model().map(|model| format!("model: {model}"));
-    let parts: Vec<_> = changes.lines().chain([answer]).chain(model.as_deref()).collect();
+    let parts: Vec<_> = changes.lines().chain([answer.as_str()]).chain(model.as_deref()).collect();
     parts.join("; ")
 }
 
@@ -522,9 +525,10 @@ fn experiment(
         _ => None,
     };
     if let (Some(mut next), Some(found)) = (next, &mut found) {
-        result.push(next.sentence.clone());
+        let words = next_run(&next);
+        result.push(words.clone());
         if let Some(recipe) = &next.recipe {
-            let text = next_bench(&base, recipe, &found.model.model, &next.sentence);
+            let text = next_bench(&base, recipe, &found.model.model, &words);
             *next_file = recorded.write(RunFile::NextBench, &text);
             next.bench = Some(text);
         }

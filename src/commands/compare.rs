@@ -9,13 +9,16 @@ use serde::Serialize;
 use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
+use crate::report::wording::{json, location, versus as words};
 use crate::report::{Document, SignalFigures, Table, Tone};
 use crate::runtime::failure::{Failure, REFUSED, USAGE};
 use crate::runtime::files::read_model;
 use crate::runtime::output;
 use crate::runtime::output::Terminal;
 use crate::runtime::progress::ProgressLine;
-use drivebench_diagnose::{Comparison, HoldoutFrom, SignalVersus, Versus, compare, versus};
+use drivebench_diagnose::{
+    Comparison, HoldoutFrom, SignalVersus, Undecided, Versus, compare, versus,
+};
 use drivebench_model::text::number::{fit, significant};
 
 /// Compare a model with a run: fit, error, noise floor, and where it fails
@@ -100,10 +103,12 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         model_words(arguments.model.first().map(PathBuf::as_path)),
         arguments.evidence.words()
     ));
-    let mut value = prepared.result(&comparison);
+    let mut value = prepared.result(&json::comparison(&comparison));
     value["model"] = from.into();
     value["refitted"] = judged.refitted.into();
-    value["undecided"] = comparison.undecided().into();
+    let undecided = comparison.undecided();
+    value["undecided"] = undecided.as_ref().map(location::undecided).into();
+    value["undecided_code"] = undecided.as_ref().map(Undecided::code).into();
     terminal.document(&value, arguments.json, arguments.full, &document)?;
     check_fit(&comparison, arguments.min_fit)
 }
@@ -154,7 +159,7 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
 pub(crate) struct VersusResult {
     /// Files of the models, and the effects in them.
     models: [ModelOf; 2],
-    #[serde(flatten)]
+    #[serde(flatten, serialize_with = "json::of_both")]
     found: Versus,
     notes: Vec<String>,
 }
@@ -198,7 +203,7 @@ impl VersusResult {
     }
 
     pub(crate) fn document(&self) -> Document {
-        let mut document = Document::of(Tone::Plain, "", &self.found.sentence);
+        let mut document = Document::of(Tone::Plain, "", words::versus(&self.found));
         for (name, model) in ["A", "B"].into_iter().zip(&self.models) {
             let effects = match model.effects.as_slice() {
                 [] => "no effect beyond the baseline".to_owned(),

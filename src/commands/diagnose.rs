@@ -9,6 +9,7 @@ use crate::commands::evidence::Judging;
 use crate::commands::evidence::Place;
 use crate::commands::{pages, view};
 use crate::report::Document;
+use crate::report::wording::json;
 use crate::runtime::failure::Failure;
 use crate::runtime::output;
 use crate::runtime::output::Terminal;
@@ -158,7 +159,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         document.go_on(format!("drivebench diagnose {run}{words} --screen"));
     }
     let (json, full) = (arguments.json, arguments.full);
-    terminal.document(&prepared.result(&diagnosis), json, full, &document)
+    terminal.document(&prepared.result(&json::diagnosis(&diagnosis)), json, full, &document)
 }
 
 /// The same diagnosis with the run that was recommended, once it is made.

@@ -11,6 +11,9 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use crate::report::wording::limits::{last_part, set_aside};
+use crate::report::wording::next_run::next_run;
+use crate::report::wording::versus::motor_match;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text};
 use crate::runtime::output;
@@ -153,7 +156,7 @@ impl Prepared {
             let (evidence, aside) = self.evidence.fitted_with(&effects);
             let evidence = evidence.into_owned();
             if let Some(aside) = aside {
-                note(&mut self.run.run.notes, aside, terminal);
+                note(&mut self.run.run.notes, set_aside(&aside), terminal);
             }
             (self.evidence, self.model.file.model) =
                 fitted_baseline(&self.model.file.model, evidence)?;
@@ -298,7 +301,7 @@ pub(crate) fn prepare(
     let confirm = files.confirm.filter(|_| evidence.confirm.is_some());
     let about = About {
         holdout_objected: objected && is_run,
-        ..About::of(files.run, &later, holdout, confirm, &evidence.held_out_part())
+        ..About::of(files.run, &later, holdout, confirm, &last_part(evidence.held_out_share()))
     };
     Ok(Prepared { run, model, evidence, about, recorded })
 }
@@ -487,7 +490,7 @@ impl Judge<'_> {
         let here = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
         let found = matches(here?, fingerprint(model, scenario)?);
         let is_other = found.kinship == Kinship::Other && self.refuses_others;
-        (found.kinship != Kinship::Same).then_some((found.sentence, is_other))
+        (found.kinship != Kinship::Same).then(|| (motor_match(&found), is_other))
     }
 }
 
@@ -795,7 +798,7 @@ impl Place {
         next.bench = next.recipe.as_ref().map(|recipe| {
             let unknown = || bench_for(model, &self.limits, self.rate_hz);
             let bench = self.bench.clone().unwrap_or_else(unknown);
-            next_bench(&bench, recipe, model, &next.sentence)
+            next_bench(&bench, recipe, model, &next_run(&next))
         });
         diagnosis.next_experiment = Some(next);
     }

@@ -11,6 +11,8 @@ use crate::commands::arguments::{MapArguments, run_path};
 use crate::commands::cards;
 use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
+use crate::report::wording::change::along;
+use crate::report::wording::json;
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
 use crate::runtime::output::{self, Terminal};
@@ -346,7 +348,9 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
     let (run, scenario) = (data.run, data.scenario);
     let mut found = scheme.identify(data)?;
     if scheme.id() == scheme::FREE_RUN {
-        found = known_along(scenario, found);
+        let (known, finding) = known_along(scenario, found);
+        found = known;
+        found.notes.extend(finding.as_ref().map(along));
     }
     physical::refuse(&mut found.parameters, &found.model.motor, scenario);
     if scenario.input_channel == Channel::VoltageCmd
@@ -453,7 +457,7 @@ fn json_of(answer: &Answer) -> Value {
         value["absolute"] = estimates(absolute);
     }
     if let Some(comparison) = &answer.nameplate {
-        value["nameplate"] = serde_json::to_value(comparison).unwrap_or_default();
+        value["nameplate"] = json::nameplate(comparison);
     }
     if let Some(ratio) = answer.gear_ratio {
         let load = conventions::on_load_shaft(&answer.parameters(), ratio);

@@ -8,6 +8,7 @@ use std::time::Duration;
 use serde::Serialize;
 
 use crate::commands::arguments::framing;
+use crate::report::wording::{json, probe as words};
 use crate::runtime::failure::{Failure, LINK, REFUSED};
 use crate::runtime::opening;
 use crate::runtime::opening::{Tap, address, serve};
@@ -87,7 +88,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let (profile, _) = opening::profile(drive)?;
     let end = far_end(&arguments.port, &profile, terminal)?;
     let report = look(&end, &profile, &arguments.line(1000), &tap)?;
-    terminal.result(&report, arguments.json, report_text)?;
+    terminal.result(&json::probe(&report), arguments.json, |_| report_text(&report))?;
     verdict(&report)
 }
 
@@ -116,7 +117,7 @@ fn verdict(report: &ProbeReport) -> Result<(), Failure> {
             "is it the drive of this profile? `drivebench probe --port PORT` without --drive tries every built-in one",
         ),
     };
-    Err(Failure::with_help(status, &report.sentence, help))
+    Err(Failure::with_help(status, words::probe(report), help))
 }
 
 fn report_text(report: &ProbeReport) -> String {
@@ -173,7 +174,7 @@ fn report_text(report: &ProbeReport) -> String {
         );
     }
     lines(&mut text, "remark: ", &report.remarks);
-    let _ = writeln!(text, "{}", report.sentence);
+    let _ = writeln!(text, "{}", words::probe(report));
     text
 }
 
@@ -329,7 +330,7 @@ pub(crate) fn read_limits(
         return Ok(limits_of(&report));
     }
     Err(Failure::link(
-        format!("the readings of the drive are not plausible: {}", report.sentence),
+        format!("the readings of the drive are not plausible: {}", words::probe(&report)),
         format!(
             "`drivebench probe --port {port} --drive {drive}` shows every reading; --offline makes the file without the drive"
         ),
@@ -345,7 +346,7 @@ fn limits_of(report: &ProbeReport) -> Readback {
     };
     Readback {
         is_offline: false,
-        who: format!("{who}; {}", report.sentence),
+        who: format!("{who}; {}", words::probe(report)),
         current_limit_a: identity
             .and_then(|found| found.current_limit_a)
             .or(report.value_of(Quantity::CurrentLimit)),
@@ -583,16 +584,13 @@ fn fit(report: &ProbeReport) -> (Fit, String) {
     }
     match report.verdict {
         ProbeVerdict::WrongDrive | ProbeVerdict::Implausible => {
-            // The profile's name stands in front of the line already.
-            let name = format!("{}: ", report.profile);
-            let reason = report.sentence.strip_prefix(name.as_str());
-            (Fit::No, reason.unwrap_or(&report.sentence).to_owned())
+            (Fit::No, words::after_name(report))
         }
         ProbeVerdict::Plausible | ProbeVerdict::Unjudged if !report.checks.is_empty() => {
             let checks: Vec<&str> = report.checks.iter().map(|c| c.what.as_str()).collect();
             (Fit::Matches, checks.join("; "))
         }
-        ProbeVerdict::Unjudged => (Fit::CannotBeTold, report.sentence.clone()),
+        ProbeVerdict::Unjudged => (Fit::CannotBeTold, words::probe(report)),
         ProbeVerdict::Plausible => {
             let confirmed = report.signals.iter().filter(|s| s.confirms).count();
             let reason = format!(

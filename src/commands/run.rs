@@ -8,6 +8,7 @@ use serde_json::{Map, Value};
 
 use crate::commands::arguments::{LiveArguments, UnknownMotor};
 use crate::commands::{by_hand, cards, pages};
+use crate::report::wording::{json, nameplate as words};
 use crate::report::{Document, tables};
 use crate::runtime::controls::Controls;
 use crate::runtime::ending::{Audience, conduct};
@@ -20,7 +21,7 @@ use drivebench_bench::recording::RunFile;
 use drivebench_bench::{CheckReport, Plan, RunSummary};
 use drivebench_diagnose::{Evidence, Score};
 use drivebench_identify::escalation::Ending;
-use drivebench_identify::nameplate::Comparison;
+use drivebench_identify::nameplate::{Comparison, NameplateDoubt};
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::start;
 use drivebench_link::offer::Purpose;
@@ -96,7 +97,7 @@ struct RunResult<'a> {
     #[serde(skip_serializing_if = "Option::is_none")]
     escalation: Option<&'a EscalationResult>,
     /// The found values beside the nameplate, where there is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
     nameplate: Option<Comparison>,
     /// The estimates with their keys.
     parameters: Map<String, Value>,
@@ -248,15 +249,12 @@ fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
         Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))
     };
     match residual() {
-        Ok(Some(times)) => comparison.doubt(format!(
-            "not judged: the five-parameter model leaves {times:.1} times the noise, and what it misses may be in these values; \
-             drivebench diagnose names it"
-        )),
+        Ok(Some(times_noise)) => comparison.doubt(NameplateDoubt::ModelMisses { times_noise }),
         Ok(None) => {}
-        Err(error) => comparison.doubt(format!(
-            "not judged: the five-parameter model cannot be held against this run ({})",
-            error.headline()
-        )),
+        Err(error) => {
+            let message = error.headline().to_owned();
+            comparison.doubt(NameplateDoubt::NotCompared { message });
+        }
     }
 }
 
@@ -351,9 +349,10 @@ pub(crate) fn escalate(
         if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
             // The sequence was written for the nameplate: as written it would be too much.
             if let Some(comparison) = nameplate {
-                print(&comparison.verdict());
-                comparison.rows.iter().for_each(|row| print(&row.sentence));
-                comparison.causes.iter().for_each(|cause| print(&format!("likely: {cause}")));
+                print(&words::nameplate(comparison));
+                comparison.rows.iter().for_each(|row| print(&words::row(row)));
+                let causes = comparison.causes.iter().map(words::cause);
+                causes.for_each(|cause| print(&format!("likely: {cause}")));
             }
             return Err(Failure::usage(
                 format!(

@@ -7,6 +7,7 @@ use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
 use crate::commands::by_hand;
 use crate::commands::by_hand::Closed;
 use crate::commands::evidence::{Judging, Prepared};
+use crate::report::wording::diagnosis as words;
 use crate::runtime::failure::Failure;
 use crate::runtime::output::{self, Terminal};
 use crate::tui::Opens;
@@ -41,7 +42,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let standing = show(&prepared, judged.error_of, terminal)?.standing;
     standing.heading().lines().for_each(|line| terminal.message(line));
     if let Some(diagnosis) = &standing.diagnosis {
-        terminal.message(&diagnosis.sentence);
+        terminal.message(&words::diagnosis(diagnosis));
     }
     let (run, evidence) = (output::quoted(run), arguments.evidence.words());
     let model = model_words(model);

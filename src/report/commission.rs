@@ -1,6 +1,7 @@
 //! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
 
 use super::traces::{ConfirmRun, model_names, traces};
+use super::wording::{self, diagnosis as words, limits};
 use super::{Bars, Context, Document, Table, Target, Tone, comparison, findings, tables};
 use drivebench_diagnose::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
 use drivebench_identify::noise::FloorSource;
@@ -39,9 +40,10 @@ impl CommissionReport<'_> {
         let found = self.diagnosis;
         tables::about(&mut document, self.context);
         let answer = found.answer();
-        document.lead(tone(answer), answer.name(), self.headline());
-        let limits = found.limits.iter().map(String::as_str);
-        document.say("note", limits.chain(found.equivalences.iter().copied()), 1);
+        document.lead(tone(answer), words::answer(answer), self.headline());
+        let limits = found.limits.iter().map(limits::limit);
+        let equivalences = found.equivalences.iter().map(|own| (*own).to_owned());
+        document.say("note", limits.chain(equivalences), 1);
         tables::data_notes(&mut document, self.context);
         self.ladder_section(&mut document);
         // Where nothing was added there is one model, not a model before and after.
@@ -96,7 +98,7 @@ impl CommissionReport<'_> {
     }
 
     fn headline(&self) -> String {
-        let sentence = self.diagnosis.after_name();
+        let sentence = words::after_name(self.diagnosis);
         let Some([before, after]) = self.confirm else {
             return format!("{sentence}.");
         };
@@ -123,7 +125,7 @@ impl CommissionReport<'_> {
     }
 
     fn unit_of_error(&self) -> &'static str {
-        self.diagnosis.noise_floor_from.unit()
+        wording::unit(self.diagnosis.noise_floor_from)
     }
 
     fn ladder_section(&self, document: &mut Document) {

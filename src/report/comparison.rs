@@ -3,10 +3,11 @@
 
 use super::plot::MapChart;
 use super::traces::{ConfirmRun, traces};
+use super::wording::{self, change, limits, location, residual};
 use super::{Bars, Cell, Context, Document, Table, Tone, findings, tables};
 use drivebench_diagnose::{
     AddResult, Comparison, EffectCurve, FailureLocation, HoldoutFrom, MapCell, MapDigits,
-    SignalComparison, SignalScore, Signals,
+    SignalComparison, SignalScore, Signals, Where,
 };
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::effect;
@@ -47,7 +48,7 @@ impl ComparisonReport<'_> {
             HoldoutFrom::Run => "a run that the fit has not seen",
             HoldoutFrom::Split => "the last part of the run",
         };
-        if let Some(reason) = &found.not_fitted {
+        if let Some(reason) = location::not_fitted(found) {
             let sentence = format!(
                 "{reason}: the model follows {from} no better, and what it leaves says nothing of the machine."
             );
@@ -150,7 +151,7 @@ impl SignalFigures {
             one_step_rmse: Some(own.one_step_rmse),
         };
         let speed = signals.speed_rad_s;
-        let speed = speed.map(|own| of("speed", signals.speed_name(), "rad/s", own));
+        let speed = speed.map(|own| of("speed", speed_name(signals), "rad/s", own));
         let current = signals.current_a;
         let current = current.map(|own| of("current", "current".to_owned(), "A", own));
         let torque = signals.torque_n_m.as_ref().map(|own| Self {
@@ -177,6 +178,12 @@ impl SignalFigures {
     }
 }
 
+/// What the speed's figures are of: those of windows must not pass for those of a free run.
+fn speed_name(signals: &Signals) -> String {
+    let length_s = signals.speed_windows_s;
+    length_s.map_or_else(|| "speed".to_owned(), |length_s| format!("speed ({length_s} s windows)"))
+}
+
 /// What adding or removing an effect did: before and after; what goes on from here is for the command to say.
 pub fn change_document(result: &AddResult) -> Document {
     let (tone, verdict) = match (result.forced, result.accepted) {
@@ -186,25 +193,25 @@ pub fn change_document(result: &AddResult) -> Document {
     };
     // Of an effect that was taken out, or taken in by force, neither size nor cause is told as if it were there.
     let is_found = result.accepted && !result.forced && result.fit.model.has(result.effect);
-    let mut document = Document::of(tone, verdict, &result.reason);
+    let mut document = Document::of(tone, verdict, change::change(result));
     let ladder = result.ladder.iter().zip(["before", "after"]);
     let ladder = ladder.map(|(rung, name)| {
         let error = rung.holdout_rmse;
         (name.to_owned(), error, fixed(error, 2))
     });
-    let unit = result.before.noise_floor_from.unit();
+    let unit = wording::unit(result.before.noise_floor_from);
     document
         .bars("ladder", Bars::new(ladder.collect(), format!("held-out error, in units of {unit}")));
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
-        let times = result.before.noise_floor_from.times();
+        let times = wording::times(result.before.noise_floor_from);
         document.say("confirm", [format!("{before:.2} -> {after:.2} {times}")], 1);
     }
     if !result.accepted || result.fit.model.has(result.effect) {
         tables::parameter_section(&mut document, "size", None, &[], &result.parameters, 2);
     }
-    figures(&mut document, &change(result), HELD_OUT);
-    places(&mut document, &change(result));
+    figures(&mut document, &sides(result), HELD_OUT);
+    places(&mut document, &sides(result));
     if let Some(effect) = effect::find(result.effect).filter(|_| is_found) {
         document.say("cause", [effect.card().causes], 1);
         document.say("remedy", [effect.card().remedy], 1);
@@ -212,7 +219,7 @@ pub fn change_document(result: &AddResult) -> Document {
     document
 }
 
-fn change(result: &AddResult) -> [Named<'_>; 2] {
+fn sides(result: &AddResult) -> [Named<'_>; 2] {
     [("model before", Some(&result.before)), ("model after", Some(&result.after))]
 }
 
@@ -262,22 +269,13 @@ pub(super) fn figures(
         .column("one-step rms error", |(_, row)| or(row.one_step_rmse, row, "-"));
     document.table_on_card("errors", table, SPARE, 2);
     for (place, (label, comparison)) in known.iter().enumerate() {
-        let residual = &comparison.residual;
-        let sentence = residual.sentence();
-        let chance = if residual.enough_samples && residual.white {
-            let outside = share(residual.autocorrelation_outside_99_percent);
-            format!(
-                " ({outside} of the autocorrelation lags lie outside their 99 % band; 1 % is chance)"
-            )
-        } else {
-            String::new()
-        };
+        let sentence = residual::residual(&comparison.residual);
         let least = usize::from(place + 1 == known.len());
         let model = label_of(&known, label);
-        document.say("residual", [format!("{model}{sentence}{chance}")], least);
+        document.say("residual", [format!("{model}{sentence}")], least);
     }
     let last = known.last().into_iter();
-    document.say("", last.flat_map(|(_, last)| last.residual.details()), 0);
+    document.say("", last.flat_map(|(_, last)| residual::details(&last.residual)), 0);
     lights(document, &known);
 }
 
@@ -302,7 +300,7 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
         .column("model", |(_, label, _)| *label);
     let table = heads.into_iter().enumerate().fold(table, |table, (place, head)| {
         table.column(head, |(_, _, lights)| {
-            let (_, light) = lights.named()[place];
+            let light = lights.each()[place];
             let word = if light.passes { "ok" } else { "outside" };
             format!("{} {word}", significant(light.largest_over_band, 2))
         })
@@ -332,25 +330,29 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
                 document.labelled(label, sentences);
             }
         };
-        let (sentence, places) = comparison.where_it_fails();
-        let mut first = comparison.locations.first().into_iter();
-        let first = first.find(|place| place.sentence == sentence);
+        let (place, places) = comparison.where_it_fails();
+        let first = comparison.locations.first().filter(|_| place == Where::First);
         let along = first.and_then(along_r_min).unwrap_or_default();
+        let sentence = location::failure(comparison);
         let model = label_of(&known, label);
         say("where", vec![format!("{model}{sentence}{along}")], 1);
         let places = places.iter().take(MOST_PLACES);
         say("", places.map(self::place).collect(), 0);
         let balances = comparison.balances.iter();
-        say("balance", balances.map(|own| own.sentence.clone()).collect(), 0);
-        say("note", comparison.limits.clone(), 1);
+        say(
+            "balance",
+            balances.map(|own| location::balance(own, &comparison.locations)).collect(),
+            0,
+        );
+        say("note", comparison.limits.iter().map(limits::limit).collect(), 1);
         self::balances(document, comparison);
         map(document, comparison);
     }
 }
 
 /// A place's sentence, with r/min where it lies along the speed.
-fn place(location: &FailureLocation) -> String {
-    capitalised(&location.sentence) + &along_r_min(location).unwrap_or_default()
+fn place(found: &FailureLocation) -> String {
+    capitalised(&location::location(found)) + &along_r_min(found).unwrap_or_default()
 }
 
 /// Behind the sentence of a place along the speed.

@@ -1,6 +1,7 @@
 //! Findings of a diagnosis as blocks of a document: cards of effects, curves, candidates, the next run.
 
 use super::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style};
+use super::wording::{candidate, diagnosis as words, limits, location, next_run as run_words};
 use super::{Cell, Document, Table};
 use drivebench_diagnose::{
     AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, NextExperiment, Reached, Status,
@@ -46,23 +47,23 @@ pub fn card_facts(document: &mut Document, card: &effect::Card) {
 }
 
 /// An effect for a screen that shows nothing else, with what the runs say of it where they are judged.
-pub fn effect_document(effect: &dyn Effect, candidate: Option<&Candidate>) -> Document {
+pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Document {
     let card = effect.card();
     let mut document = Document::new(format!("{} ({})", card.name, card.id), "");
-    if let Some(own) = candidate {
-        let status = if own.is_open { "left open" } else { own.status.name() };
-        document.labelled("here", [format!("{status}: {}", own.evidence)]);
+    if let Some(own) = judged {
+        let status = if own.is_open { "left open" } else { candidate::status(own.status) };
+        document.labelled("here", [format!("{status}: {}", candidate::evidence(own))]);
         let sizes = own.parameters.iter().map(|parameter| {
             let reason = parameter.reason.as_deref();
             let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
             format!("{}{reason}, 95 % interval", size(parameter))
         });
-        document.labelled("size", sizes.chain(own.at_most()));
-        document.labelled("visible", own.seen_from());
+        document.labelled("size", sizes.chain(candidate::at_most(own)));
+        document.labelled("visible", candidate::seen_from(own));
         let peaks = own.reached.iter().flat_map(Reached::peaks);
-        document.labelled("reached", peaks.map(|peak| peak.text(TWO_SIDED_95)));
+        document.labelled("reached", peaks.map(|peak| candidate::peak(&peak, TWO_SIDED_95)));
         let is_named = !own.parameters.is_empty();
-        document.labelled("intervals", own.widened().filter(|_| is_named));
+        document.labelled("intervals", candidate::widened(own).filter(|_| is_named));
         let there = probability(own.probability);
         let training = own.error_after.map_or_else(String::new, |after| {
             format!("; training error {:.2} -> {after:.2}", own.error_before)
@@ -102,7 +103,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     };
     let possible = with(Status::Possible).filter(|own| !own.is_not_borne_out());
     let possible = possible.map(|own| {
-        let most = own.at_most().map_or_else(String::new, |most| format!(", {most}"));
+        let most = candidate::at_most(own).map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
     document.say("possible", listed(possible), 1);
@@ -112,7 +113,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
         .map(|names| format!("{names}: likely beside the others, but not borne out by a refit"));
     document.say("not named", not_borne_out, 1);
     // What is ruled out is a size.
-    let ruled_out = with(Status::RuledOut).map(|own| match own.at_most() {
+    let ruled_out = with(Status::RuledOut).map(|own| match candidate::at_most(own) {
         Some(most) => format!("{} ({most})", own.effect),
         None => id(own),
     });
@@ -120,7 +121,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     let unseen = |is_open: bool| with(Status::NotExcited).filter(move |own| own.is_open == is_open);
     document.say("left open", listed(unseen(true).map(id)), 1);
     document.say("not shown", listed(unseen(false).map(id)), 1);
-    document.say("unknown", diagnosis.unknown.iter().map(|part| part.sentence.as_str()), 1);
+    document.say("unknown", diagnosis.unknown.iter().map(words::unknown), 1);
 }
 
 fn not_told_apart(one: &str, other: &str) -> String {
@@ -136,9 +137,9 @@ pub fn open_questions(
     let mut document = Document::new("what these runs do not tell", "");
     let pairs = diagnosis.confusable.iter();
     document.labelled("rival", pairs.map(|[one, other]| not_told_apart(one, other)));
-    document.labelled("limit", diagnosis.limits.iter().map(String::as_str));
+    document.labelled("limit", diagnosis.limits.iter().map(limits::limit));
     document.labelled("by no run", diagnosis.equivalences.iter().copied());
-    let curves = diagnosis.axis_map.iter().map(|map| map.sentence.as_str());
+    let curves = diagnosis.axis_map.iter().map(location::axis_map);
     document.labelled("the error", curves);
     next_run(&mut document, next);
     let is_empty =
@@ -161,15 +162,15 @@ fn listed(names: impl Iterator<Item = String>) -> Option<String> {
 
 /// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
 pub(super) fn effect_curve(document: &mut Document, curve: &EffectCurve) {
-    let why = curve.why_axis.iter();
-    let why = why.map(|why| format!(" {}.", capitalised(why)));
+    let why = location::why_axis(curve);
+    let why = why.map_or_else(String::new, |why| format!(" {}.", capitalised(&why)));
     let drawn = curve.clone();
     document.figure(
         move || curve_picture(&drawn),
         format!(
             "{}. Each point is a mean with its 95 % interval; a loss is positive.{}",
-            capitalised(&curve.sentence()),
-            why.collect::<String>()
+            capitalised(&location::curve(curve)),
+            why
         ),
     );
 }
@@ -200,9 +201,9 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
         }
     };
     AxisChart {
-        axis: curve.axis_label(),
+        axis: location::axis_label(curve),
         panels: vec![AxisPanel {
-            title: curve.title(),
+            title: location::curve_title(curve),
             height: 210.0,
             holds: vec![0.0],
             sets,
@@ -214,7 +215,7 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
 
 /// The picture of a curve.
 pub fn curve_picture(curve: &EffectCurve) -> String {
-    let description = format!("{} error over {}", curve.equation, curve.axis_label());
+    let description = format!("{} error over {}", curve.equation, location::axis_label(curve));
     curve_chart(curve).svg(&description)
 }
 
@@ -231,14 +232,14 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
             move || curve_picture(&drawn),
             format!(
                 "{}. The band is the 95 % interval; a loss is positive.",
-                capitalised(&map.sentence)
+                capitalised(&location::axis_map(map))
             ),
         );
     }
-    let clearest = followed.first().map(|map| map.sentence.as_str());
+    let clearest = followed.first().map(|map| location::axis_map(map));
     document.say("curve", clearest, 1);
     let others = followed.into_iter().skip(MOST_CURVES).chain(rest);
-    let sentence = |map: &AxisMap| format!("{}.", capitalised(&map.sentence));
+    let sentence = |map: &AxisMap| format!("{}.", capitalised(&location::axis_map(map)));
     document.list(others.map(sentence));
     if is_any {
         document.paragraph(
@@ -252,7 +253,7 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
 pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
     document.section("Effects that were tried");
     let mut named = diagnosis.candidates.iter().filter(|c| has_paid(c) && !c.parameters.is_empty());
-    if let Some(words) = named.find_map(Candidate::widened) {
+    if let Some(words) = named.find_map(candidate::widened) {
         document.paragraph(format!("Intervals of sizes: {words}."));
     }
     let dash = || "-".to_owned();
@@ -260,7 +261,10 @@ pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
         Table::of(&diagnosis.candidates)
             .column("rank", |own| own.rank.to_string())
             .column("effect", |own| Cell::code(own.effect))
-            .column("status", |own| if own.is_open { "left open" } else { own.status.name() })
+            .column(
+                "status",
+                |own| if own.is_open { "left open" } else { candidate::status(own.status) },
+            )
             .column("held-out error", |own| {
                 let before = fixed(own.holdout_before, 2);
                 own.holdout_after
@@ -274,8 +278,8 @@ pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
                 _ => probability(own.probability),
             })
             .column("size ± 95 %, evidence", |own| {
-                let size = sizes(own).or_else(|| own.at_most()).unwrap_or_else(dash);
-                Cell::text(size).with_note(capitalised(&own.evidence))
+                let size = sizes(own).or_else(|| candidate::at_most(own)).unwrap_or_else(dash);
+                Cell::text(size).with_note(capitalised(&candidate::evidence(own)))
             }),
     );
 }
@@ -285,11 +289,11 @@ const fn has_paid(candidate: &Candidate) -> bool {
 }
 
 /// Sizes of an effect that pays, and what they reached; of another the evidence says what would have been seen.
-fn sizes(candidate: &Candidate) -> Option<String> {
-    let peaks = candidate.reached.iter().flat_map(Reached::peaks);
-    let peaks = peaks.map(|peak| peak.text(TWO_SIDED_95));
-    let sizes: Vec<String> = candidate.parameters.iter().map(size).chain(peaks).collect();
-    (has_paid(candidate) && !sizes.is_empty()).then(|| sizes.join("; "))
+fn sizes(own: &Candidate) -> Option<String> {
+    let peaks = own.reached.iter().flat_map(Reached::peaks);
+    let peaks = peaks.map(|peak| candidate::peak(&peak, TWO_SIDED_95));
+    let sizes: Vec<String> = own.parameters.iter().map(size).chain(peaks).collect();
+    (has_paid(own) && !sizes.is_empty()).then(|| sizes.join("; "))
 }
 
 /// Key, value with its 95 % interval, unit.
@@ -301,7 +305,7 @@ fn size(parameter: &ParameterEstimate) -> String {
 /// The run that would tell more, among all that the limits allow.
 pub(super) fn next_run(document: &mut Document, next: Option<&NextExperiment>) {
     let Some(next) = next else { return };
-    document.say("next run", [next.sentence.as_str()], 1);
+    document.say("next run", [run_words::next_run(next)], 1);
     if next.menu.is_empty() {
         return;
     }

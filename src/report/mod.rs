@@ -27,6 +27,7 @@ mod table;
 pub(crate) mod tables;
 pub mod terminal;
 mod traces;
+pub mod wording;
 
 pub use commission::{CommissionReport, tone};
 pub use comparison::{ComparisonReport, SignalFigures, comparison_document, error_changes};

@@ -1,5 +1,6 @@
 //! Tables and lines that the reports share.
 
+use super::wording::nameplate;
 use super::{Cell, Context, Document, Facts, SAFETY_NOTICE, Table};
 use drivebench_identify::nameplate::{Comparison, Fits};
 use drivebench_link::drive_name;
@@ -111,11 +112,12 @@ pub(crate) fn parameter_section(
 /// Whether the nameplate fits, what differs and why; the values that fit are not on the card.
 pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
     let Some(plate) = plate else { return };
-    let differences = plate.differences().map(str::to_owned);
-    let causes = plate.causes.iter().map(|cause| format!("likely: {cause}"));
-    document.say("plate", std::iter::once(plate.verdict()).chain(differences).chain(causes), 1);
+    let differences = plate.differences().map(nameplate::row);
+    let causes = plate.causes.iter().map(|own| format!("likely: {}", nameplate::cause(own)));
+    let verdict = std::iter::once(nameplate::nameplate(plate));
+    document.say("plate", verdict.chain(differences).chain(causes), 1);
     let others = plate.rows.iter().filter(|row| row.fits != Fits::No);
-    document.labelled("", others.map(|row| row.sentence.as_str()));
+    document.labelled("", others.map(nameplate::row));
 }
 
 /// Date, drive, serial number and motor, at the start of every report.

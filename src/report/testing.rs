@@ -5,9 +5,10 @@ use std::sync::LazyLock;
 use super::{Bars, Document, Table, Tone};
 use drivebench_diagnose::next_experiment::MenuEntry;
 use drivebench_diagnose::{
-    Candidate, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance, ErrorMap, ErrorOf,
-    Evidence, FailureLocation, Fitted, HoldoutFrom, NextExperiment, Peak, Reached, ResidualLights,
-    Rung, Signals, Status, compare,
+    Candidate, CandidateFinding, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance,
+    ErrorForm, ErrorMap, ErrorOf, Evidence, FailureLocation, Fitted, HoldoutFrom, Limit,
+    NextExperiment, Peak, Reached, Recommendation, RepeatUnknown, ResidualLights, Rung, Signals,
+    Status, compare,
 };
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::plant::{Model, Motor, State, effect, testing};
@@ -79,7 +80,15 @@ pub(crate) fn candidate(
         as_good_as: None,
         upper_bound: bound,
         detectable: bound,
-        evidence: format!("{effect} takes the held-out error from 5.10 to {after:.2}"),
+        finding: match status {
+            Status::NotExcited => CandidateFinding::NotShown,
+            Status::RuledOut => CandidateFinding::RuledOut,
+            Status::Possible | Status::Supported => CandidateFinding::Named {
+                floor: FloorSource::Standstill,
+                holdout_from: HoldoutFrom::Run,
+            },
+        },
+        not_named: None,
         is_open: false,
         run_s: 12.0,
     }
@@ -87,7 +96,6 @@ pub(crate) fn candidate(
 
 /// Stribeck friction is found, and every other status is there as well.
 pub(crate) fn diagnosis() -> Diagnosis {
-    let unrepeated = "whether this machine repeats is not known: too many rows were lost";
     Diagnosis {
         information_basis: None,
         rivals: Vec::new(),
@@ -117,12 +125,12 @@ pub(crate) fn diagnosis() -> Diagnosis {
         ladder: Vec::new(),
         axis_map: Vec::new(),
         confirm: None,
-        limits: vec![unrepeated.to_owned()],
+        limits: vec![Limit::RepeatUnknown(RepeatUnknown::RowsLost)],
         equivalences: Vec::new(),
         next_experiment: None,
         unknown: Vec::new(),
-        sentence: "missing: stribeck_friction; held-out error 5.10 -> 1.03 times the noise floor, 100 % explained"
-            .to_owned(),
+        superfluous: Vec::new(),
+        added_rivals: Vec::new(),
         baseline: fitted(&[]),
         model: fitted(&["stribeck_friction"]),
     }
@@ -133,7 +141,7 @@ pub(crate) fn next_experiment() -> NextExperiment {
     let entry =
         |program, expected_separation| MenuEntry { program, expected_separation, needed: 612.0 };
     NextExperiment {
-        sentence: "run a slow ramp over the whole speed".to_owned(),
+        finding: Recommendation::TellsApart,
         bench: None,
         pair: Some(["viscous_friction", "quadratic_load"]),
         pairs: Vec::new(),
@@ -175,7 +183,6 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
         nres_refitted: Some(refitted),
         ..EquationBalance::default()
     };
-    let sentence = "85 % of the torque error lies between -12 and 12 rad/s, in 11 % of the time";
     let cell = |row, column| (row + column > 3).then(|| 0.01 * f64::from(row * column));
     let row = |row| (0..12).map(|column| cell(row, column)).collect();
     let cells: Vec<Vec<Option<f64>>> = (0..12).map(row).collect();
@@ -200,7 +207,7 @@ pub(crate) fn comparison(rmse: f64) -> Comparison {
             share_of_time: 0.11,
             follows: 0.9,
             strength: 300.0,
-            sentence: sentence.to_owned(),
+            form: ErrorForm::Between { either_way: false, begin_s: 0.0 },
         }],
         map: Some(ErrorMap {
             speed_edges_rad_s: (0..13).map(|k| -300.0 + 50.0 * f64::from(k)).collect(),

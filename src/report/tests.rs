@@ -2,10 +2,11 @@
 
 use super::html::escape;
 use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
+use super::wording::candidate::{at_most, seen_from};
 use super::*;
 use drivebench_diagnose::{
-    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, NextExperiment, ResidualLights,
-    Status, compare, diagnose,
+    Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, Limit, NextExperiment,
+    ResidualLights, Status, compare, diagnose,
 };
 use drivebench_model::plant::{Model, Motor, Scenario, testing};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
@@ -89,7 +90,7 @@ fn the_verdict_is_first_and_every_figure_has_its_uncertainty() {
             autocorrelation_outside_99_percent: 0.04,
             ..new.residual
         },
-        limits: vec!["no angle was measured: it is integrated from the speed".to_owned()],
+        limits: vec![Limit::NoAngle],
         ..new
     };
     let report = CommissionReport {
@@ -257,11 +258,11 @@ fn a_bound_is_in_the_unit_of_what_gives_the_effect_its_size() {
         ("load_dependent_friction", "0.0020"),
     ] {
         let own = candidate(1, effect, Status::RuledOut, 5.08);
-        assert_eq!(own.at_most(), Some(format!("at most {bound}")), "{effect}");
-        assert_eq!(own.seen_from(), Some(format!("seen from {bound}")), "{effect}");
+        assert_eq!(at_most(&own), Some(format!("at most {bound}")), "{effect}");
+        assert_eq!(seen_from(&own), Some(format!("seen from {bound}")), "{effect}");
         for unknown in [None, Some(f64::NAN)] {
             let own = Candidate { upper_bound: unknown, ..own.clone() };
-            assert_eq!(own.at_most(), None, "{effect} {unknown:?}");
+            assert_eq!(at_most(&own), None, "{effect} {unknown:?}");
         }
     }
 }

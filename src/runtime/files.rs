@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value;
 
+use crate::report::wording::times;
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use crate::runtime::output::{self, Terminal};
@@ -130,7 +131,7 @@ fn rung_text(rung: &Rung, floor: FloorSource) -> String {
         [] => "baseline".to_owned(),
         effects => effects.join(" + "),
     };
-    let (error, times) = (rung.holdout_rmse, floor.times());
+    let (error, times) = (rung.holdout_rmse, times(floor));
     format!("{effects}: held-out error {error:.2} {times}")
 }
 

@@ -13,6 +13,8 @@ use super::keyed::with_keys;
 use super::next_bench::{experiment_limits, next_bench};
 use super::truth::Truth;
 use crate::report::Document;
+use crate::report::wording::next_run::next_run;
+use crate::report::wording::{self, json, location};
 use drivebench_bench::{
     BenchFile, CheckReport, Design, Nameplate, Plan, Refusal, Scaled, bounds, loop_timing, scale,
 };
@@ -240,15 +242,15 @@ impl Commission {
         publish(self.progress());
 
         let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
-        self.step_done(Step::Compare, &before.where_it_fails().0, Task::Analyse);
+        self.step_done(Step::Compare, &location::failure(&before), Task::Analyse);
         publish(self.progress());
 
         let mut diagnosis = diagnose_with(&nameplate, evidence.clone(), diagnosing)?;
         let limits = experiment_limits(&self.bench);
         let mut next = recommend(&diagnosis, &evidence, &limits)?;
         if let Some(next) = &mut next {
-            let model = &diagnosis.model.model;
-            let file = |recipe: &Recipe| next_bench(&self.bench, recipe, model, &next.sentence);
+            let (model, words) = (&diagnosis.model.model, next_run(next));
+            let file = |recipe: &Recipe| next_bench(&self.bench, recipe, model, &words);
             next.bench = next.recipe.as_ref().map(file);
         }
         diagnosis.next_experiment = next;
@@ -256,7 +258,8 @@ impl Commission {
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(discovery.with_limits(limits));
         self.called.effect = diagnosis.effect;
-        self.step_done(Step::Diagnose, &diagnosis.sentence, Task::Analyse);
+        let sentence = wording::diagnosis::diagnosis(&diagnosis);
+        self.step_done(Step::Diagnose, &sentence, Task::Analyse);
         publish(self.progress());
 
         let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
@@ -268,7 +271,7 @@ impl Commission {
                 "error on the confirming run {:.2} -> {:.2} {}",
                 confirmed[0].holdout_rmse,
                 confirmed[1].holdout_rmse,
-                diagnosis.noise_floor_from.times()
+                wording::times(diagnosis.noise_floor_from)
             )
         };
         self.step_done(Step::Ladder, &line, Task::Analyse);
@@ -282,7 +285,7 @@ impl Commission {
         self.step_done(Step::Tune, &line, Task::Save);
         publish(self.progress());
         self.result = Some(CommissionResult {
-            sentence: diagnosis.sentence.clone(),
+            sentence,
             parameters_before: diagnosis.baseline.parameters.clone(),
             parameters: diagnosis.model.parameters.clone(),
             online: self.online.clone(),
@@ -330,10 +333,11 @@ impl Commission {
     pub fn saved(&mut self, line: &str) {
         self.step_done(Step::Report, line, Task::Finished);
         let next = self.result.as_ref().and_then(|result| result.diagnosis.next_experiment.clone());
-        let offer = match &next {
-            Some(next) if next.bench.is_some() => Ok(next.sentence.as_str()),
-            Some(next) => Err(next.sentence.as_str()),
-            None => Err("none is recommended for these runs"),
+        let words = next.as_ref().map(next_run);
+        let offer = match (&next, words.as_deref()) {
+            (Some(next), Some(words)) if next.bench.is_some() => Ok(words),
+            (Some(_), Some(words)) => Err(words),
+            _ => Err("none is recommended for these runs"),
         };
         self.offered(Step::Experiment, offer);
         let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
@@ -466,9 +470,12 @@ pub struct RunRecord {
 #[derive(Clone, Debug, Serialize)]
 pub struct CommissionResult {
     pub sentence: String,
+    #[serde(serialize_with = "json::with_sentences")]
     pub diagnosis: Diagnosis,
     /// The refitted baseline and the model with the named effects, on the confirming run.
+    #[serde(serialize_with = "json::compared")]
     pub before: diagnosis::Comparison,
+    #[serde(serialize_with = "json::compared")]
     pub after: diagnosis::Comparison,
     #[serde(serialize_with = "with_keys")]
     pub parameters_before: Vec<ParameterEstimate>,
@@ -478,7 +485,7 @@ pub struct CommissionResult {
     #[serde(serialize_with = "with_keys")]
     pub online: Vec<ParameterEstimate>,
     /// What was found against the plate, where there is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
     pub nameplate: Option<Comparison>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub escalation: Option<EscalationResult>,
@@ -519,6 +526,7 @@ pub struct EscalationResult {
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
     /// Found against the plate; none where the plate has no value or nothing was found.
+    #[serde(serialize_with = "json::plate")]
     pub nameplate: Option<Comparison>,
     pub ending: Option<Ending>,
     /// The sequence as it was fitted to the motor.

@@ -74,7 +74,7 @@ fn machine(id: &str, seed: u64) -> Machine {
         model: &nameplate.with_effect(id).unwrap(),
     });
     let free = free.unwrap();
-    let identified = known_along(&runs[0], free.clone()).parameters;
+    let identified = known_along(&runs[0], free.clone()).0.parameters;
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let added = add(effect, &nameplate, evidence).unwrap().fit.parameters;
     let told = |all: &[ParameterEstimate], key: &str, truth: f64| {

@@ -12,6 +12,7 @@ use drivebench::diagnosis::{DiagnosisVerdict, ErrorOf, Evidence, compare, diagno
 use drivebench::emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use drivebench::plant::{Model, Scenario};
 use drivebench::recording::MemoryRecorder;
+use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use drivebench::sample::{Channel, Origin};
 
 /// A specimen of a machine on its bench, in virtual time.
@@ -107,10 +108,10 @@ fn hidden_effect_is_named(emulator: &str, effect: Option<&str>, seed: u64) {
     let confirming = Evidence { holdout: runs[2].clone(), ..evidence.clone() };
     let found = diagnose(&nameplate, evidence).unwrap();
     let Some(effect) = effect else {
-        assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", found.sentence);
+        assert_eq!(found.verdict, DiagnosisVerdict::None, "{}", sentence(&found));
         return;
     };
-    assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{}", found.sentence);
+    assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{}", sentence(&found));
     assert_eq!(found.effects, [effect], "{emulator}");
     assert_eq!(found.repeats, Some(true), "{:?}", found.repeat_floor);
     let speed_error = |model: &Model| {
@@ -162,9 +163,9 @@ fn a_start_so_late_that_the_drive_comes_to_its_current_limit() {
         let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
         let evidence = Evidence::new(fit, Some(holdout), None);
         let found = diagnose(&nameplate, evidence).unwrap();
-        assert_eq!(found.effects, ["start_delay"], "{}", found.sentence);
+        assert_eq!(found.effects, ["start_delay"], "{}", sentence(&found));
         let found_s = found.candidates[0].parameters[0].value.unwrap();
         assert!((found_s - delay_s).abs() < 2e-3, "{found_s} {delay_s}");
-        assert!(found.holdout_after < 1.5, "{}", found.sentence);
+        assert!(found.holdout_after < 1.5, "{}", sentence(&found));
     }
 }

@@ -10,8 +10,8 @@ use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 
 use drivebench::diagnosis::{
-    AddResult, AxisMap, Candidate, Comparison, Diagnosis, DiagnosisVerdict, Evidence, Signals,
-    Status, axis_map,
+    AddResult, AxisMap, Candidate, CandidateFinding, Comparison, Diagnosis, DiagnosisVerdict,
+    Evidence, Signals, Status, axis_map,
 };
 use drivebench::identification::balance::Method;
 use drivebench::identification::noise::NoiseFloor;
@@ -23,6 +23,9 @@ use drivebench::plant::{
     State, effect,
 };
 use drivebench::recording::{ColumnMap, open_run};
+use drivebench::report::wording::candidate::evidence as evidence_of;
+use drivebench::report::wording::change::change;
+use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use drivebench::sample::{Channel, Origin, Run};
 
 use crate::everything;
@@ -216,17 +219,17 @@ mod simulated {
     fn a_single_effect_is_named_in_a_messy_record() {
         for (id, values) in KNOWN {
             let found = diagnose(&nameplate(), &evidence(&truth(id, values), 1)).unwrap();
-            let said = &found.sentence;
+            let said = sentence(&found);
             assert_eq!(found.effect, Some(id), "{said}");
             assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{said}");
             assert_eq!(status(&found, id), Status::Supported, "{said}");
             assert!(found.holdout_after < found.holdout_before, "{said}");
-            eprintln!("{}", found.candidates[0].evidence);
+            eprintln!("{}", evidence_of(&found.candidates[0]));
         }
         for seed in 0..6 {
             let plain = runs(&axis(), [100 + seed, 200 + seed], 0.0);
             let found = diagnose(&nameplate(), &plain).unwrap();
-            assert_eq!(found.effect, None, "{}", found.sentence);
+            assert_eq!(found.effect, None, "{}", sentence(&found));
         }
     }
 
@@ -239,7 +242,7 @@ mod simulated {
                 let mut values = values.to_vec();
                 values[0] *= dose;
                 let named = diagnose(&nameplate(), &dosed(&base, find(id), &values)).unwrap();
-                assert_eq!(named.effect, Some(id), "x {dose}: {}", named.sentence);
+                assert_eq!(named.effect, Some(id), "x {dose}: {}", sentence(&named));
             }
         }
     }
@@ -250,7 +253,7 @@ mod simulated {
             let data = evidence(&truth(id, values), 5);
             let sizes = [&data, &swapped(&data)].map(|data| {
                 let named = diagnose(&nameplate(), data).unwrap();
-                assert_eq!(named.effect, Some(id), "{id}: {}", named.sentence);
+                assert_eq!(named.effect, Some(id), "{id}: {}", sentence(&named));
                 size(&nameplate(), data, find(id))
             });
             let [(one, one_std), (two, two_std)] = sizes;
@@ -265,7 +268,7 @@ mod simulated {
             [("quadratic_load", &[8e-5]), ("constant_load", &[0.12])];
         let data = runs(&with(axis(), &effects), [80, 81], 0.0);
         let found = diagnose(&nameplate(), &data).unwrap();
-        assert_eq!(names(&found), ["constant_load", "quadratic_load"], "{}", found.sentence);
+        assert_eq!(names(&found), ["constant_load", "quadratic_load"], "{}", sentence(&found));
         for (place, id) in found.effects.iter().enumerate() {
             let candidate = &found.candidates[place];
             assert_eq!(candidate.effect, *id);
@@ -285,11 +288,11 @@ mod simulated {
         for (third, holds) in [(&truth, true), (&axis(), false)] {
             data.confirm = Some(record(third, 12, 1.0));
             let found = diagnose(&nameplate(), &data).unwrap();
-            assert_eq!(found.effect, Some(id), "{}", found.sentence);
+            assert_eq!(found.effect, Some(id), "{}", sentence(&found));
             let confirm = found.confirm.unwrap();
             let falls = confirm.error_after.unwrap() < confirm.error_before.unwrap();
             let expected = (Some(holds), holds);
-            assert_eq!((confirm.confirmed, falls), expected, "{}", confirm.sentence);
+            assert_eq!((confirm.confirmed, falls), expected, "{confirm:?}");
         }
     }
 
@@ -299,10 +302,9 @@ mod simulated {
         let data = runs(&truth(id, values), [70, 71], 0.0);
         let with_offset = with_unset(nameplate(), &["constant_load"]);
         let added = add(find(id), &with_offset, &data);
-        let (reason, fit) = (&added.reason, &added.fit);
-        assert!(added.accepted, "{reason}");
-        let is_told = reason.contains("constant_load is superfluous");
-        assert!(is_told, "{reason} {:?}", fit.parameters);
+        let fit = &added.fit;
+        assert!(added.accepted, "{:?}", added.finding);
+        assert_eq!(added.superfluous, ["constant_load"], "{:?}", fit.parameters);
         let [before, after] = [&added.before.signals, &added.after.signals];
         let errors = |side: &Signals| -> Vec<f64> {
             let processing = &side.torque_n_m.as_ref().unwrap().processing;
@@ -315,10 +317,10 @@ mod simulated {
         for (id, accepted) in [(id, false), ("constant_load", true)] {
             let removed =
                 drivebench::diagnosis::remove(find(id), &fit.model, data.clone()).unwrap();
-            assert_eq!(removed.accepted, accepted, "{id}: {}", removed.reason);
+            assert_eq!(removed.accepted, accepted, "{id}: {:?}", removed.finding);
         }
         let nothing = add(find("constant_load"), &nameplate(), &evidence(&axis(), 7));
-        assert!(!nothing.accepted, "{}", nothing.reason);
+        assert!(!nothing.accepted, "{:?}", nothing.finding);
     }
 
     #[test]
@@ -332,7 +334,7 @@ mod simulated {
         }
         let found = diagnose(&nameplate(), &data).unwrap();
         for id in ["constant_load", "asymmetric_viscous"] {
-            assert_eq!(status(&found, id), Status::NotExcited, "{id}: {}", found.sentence);
+            assert_eq!(status(&found, id), Status::NotExcited, "{id}: {}", sentence(&found));
         }
     }
 
@@ -362,7 +364,7 @@ mod simulated {
                 let added = add(one, &nameplate(), &data);
                 judged += 1;
                 if added.accepted {
-                    eprintln!("{}: {}", added.effect, added.reason);
+                    eprintln!("{}: {}", added.effect, change(&added));
                     passed += 1;
                 }
             }
@@ -490,7 +492,7 @@ mod driven {
         let machine = with(axis(), effects);
         let [training, holdout] = [0, 1].map(|more| record(&machine, bench, 2 * seed + more));
         let found = diagnose(&axis(), &Evidence::new(training, Some(holdout), None)).unwrap();
-        eprintln!("{seed}: {}; unknown {:?}", found.sentence, found.unknown);
+        eprintln!("{seed}: {}; unknown {:?}", sentence(&found), found.unknown);
         found
     }
 
@@ -503,7 +505,7 @@ mod driven {
     fn finds_both(bench: Bench, seeds: Range<u64>) {
         for (seed, pair) in seeds.zip(PAIRS) {
             let found = named(&pair, bench, seed);
-            let said = &found.sentence;
+            let said = sentence(&found);
             assert_eq!(names(&found), pair.map(|(id, _)| id), "{seed}: {said}");
             assert!(found.holdout_after < found.holdout_before, "{seed}: {said}");
             for (id, _) in pair {
@@ -533,7 +535,7 @@ mod driven {
             for bench in [BY_TORQUE, BY_CURRENT] {
                 for seed in 10..12 {
                     let found = named(&[], Bench { counts, ..bench }, seed);
-                    assert!(found.effects.is_empty(), "{seed}: {}", found.sentence);
+                    assert!(found.effects.is_empty(), "{seed}: {}", sentence(&found));
                     assert!(found.unknown.is_empty(), "{seed}: {:?}", found.unknown);
                 }
             }
@@ -546,8 +548,8 @@ mod driven {
         for id in ["voltage_drop", "command_delay", "winding_heating", "flux_saturation"] {
             let candidate = candidate(&found, id);
             assert_eq!(candidate.status, Status::NotExcited, "{id}");
-            let evidence = &candidate.evidence;
-            assert!(evidence.contains("cannot be judged"), "{evidence}");
+            let is_not_judged = matches!(candidate.finding, CandidateFinding::NotJudged { .. });
+            assert!(is_not_judged, "{:?}", candidate.finding);
             assert_eq!(candidate.upper_bound, None, "{id}");
         }
     }
@@ -588,12 +590,12 @@ mod real {
 
     fn told(model: &Model, data: &Evidence) -> Diagnosis {
         let found = diagnose(model, data).unwrap();
-        eprintln!("{}; unknown {:?}", found.sentence, found.unknown);
+        eprintln!("{}; unknown {:?}", sentence(&found), found.unknown);
         let asked = found.candidates.iter();
         for one in asked.filter(|one| one.status != Status::NotExcited) {
             let sizes = one.parameters.iter().map(|p| (&p.key, p.value, p.std));
             let (sizes, p): (Vec<_>, f64) = (sizes.collect(), one.probability);
-            eprintln!("  {} {:?} {p:.3} {sizes:?}", one.evidence, one.status);
+            eprintln!("  {} {:?} {p:.3} {sizes:?}", evidence_of(one), one.status);
         }
         found
     }
@@ -603,11 +605,11 @@ mod real {
     fn the_axis_misses_direction_dependent_viscous_friction() {
         let (data, model) = emps();
         let found = told(&model, &data);
-        let said = &found.sentence;
+        let said = sentence(&found);
         assert_eq!(found.effect, Some("asymmetric_viscous"), "{said}");
         assert_eq!(found.verdict, DiagnosisVerdict::Effect);
         assert!(!found.sufficient);
-        assert!(said.contains("constant_load is superfluous"), "{said}");
+        assert_eq!(found.superfluous, ["constant_load"], "{said}");
         assert_ne!(status(&found, "stribeck_friction"), Status::Supported);
         let added = add(find("asymmetric_viscous"), &model, &data);
         let error = |side: &Comparison, method| {
@@ -629,7 +631,7 @@ mod real {
             }
         }
         let stribeck = add(find("stribeck_friction"), &model, &data);
-        assert!(!stribeck.accepted, "{}", stribeck.reason);
+        assert!(!stribeck.accepted, "{:?}", stribeck.finding);
     }
 
     #[test]
@@ -637,7 +639,7 @@ mod real {
     fn the_propeller_is_a_quadratic_load() {
         let (data, model) = propeller();
         let found = told(&model, &data);
-        assert_eq!(found.effect, Some("quadratic_load"), "{}", found.sentence);
+        assert_eq!(found.effect, Some("quadratic_load"), "{}", sentence(&found));
     }
 
     #[test]

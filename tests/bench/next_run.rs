@@ -4,6 +4,7 @@ use drivebench::bench::BenchFile;
 use drivebench::diagnosis::{Diagnosis, Evidence, Status, diagnose, recommend};
 use drivebench::emulator::EmulatorConfig;
 use drivebench::plant::Model;
+use drivebench::report::wording::next_run::{hidden_reason, next_run};
 use drivebench::workflow::{experiment_limits, next_bench};
 
 use crate::diagnosis_on_emulator::Specimen;
@@ -53,18 +54,18 @@ fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
         let next = recommend(&diagnosis, &evidence, &limits).unwrap();
         let Some(next) = next else { return kept };
         let Some(recipe) = next.recipe.as_ref() else {
-            let reasons = next.hidden.iter().map(|own| own.reason.as_str());
-            assert!(next.pair.is_some() || reasons.clone().count() > 0);
-            assert!(reasons.into_iter().all(|reason| !reason.is_empty()));
+            assert!(next.pair.is_some() || !next.hidden.is_empty());
+            assert!(next.hidden.iter().all(|own| !hidden_reason(own).is_empty()));
             return kept;
         };
+        let words = next_run(&next);
         let is_new = !made.contains(&recipe.id);
-        assert!(is_new, "{hidden}: {made:?} {}", next.sentence);
+        assert!(is_new, "{hidden}: {made:?} {words}");
         let is_open = next.reveals.iter().all(|id| !showed.contains(id));
-        assert!(is_open, "{hidden}: {showed:?} {}", next.sentence);
-        assert!(kept.runs < MOST_RUNS, "{hidden}: {}", next.sentence);
+        assert!(is_open, "{hidden}: {showed:?} {words}");
+        assert!(kept.runs < MOST_RUNS, "{hidden}: {words}");
         made.push(recipe.id);
-        let text = next_bench(file, recipe, &diagnosis.model.model, &next.sentence);
+        let text = next_bench(file, recipe, &diagnosis.model.model, &words);
         let bench = BenchFile::parse("next", &text).unwrap();
         kept.runs += 1;
         evidence = evidence.with_run(specimen.run(&bench, 9 + kept.runs));

@@ -24,6 +24,8 @@ use drivebench::diagnosis::{Diagnosis, Evidence, add, diagnose};
 use drivebench::emulator::truth::effect::HiddenEffect;
 use drivebench::plant::{Model, Scenario, effect};
 use drivebench::recording::open_run;
+use drivebench::report::wording::change::change;
+use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use rayon::prelude::*;
 use record::{DURATION_S, nameplate, record};
 
@@ -113,7 +115,7 @@ fn doses_are_found_and_named_from_some_size_on() {
     let machine = 0;
     let plain = evidence(&[], machine);
     let without = diagnose(&nameplate(), plain.clone()).unwrap();
-    println!("no dose: {} {:?}", without.sentence, without.confusable);
+    println!("no dose: {} {:?}", sentence(&without), without.confusable);
     let multiples: &[f64] = if everything() { &MULTIPLES } else { &FEW_MULTIPLES };
     let mut failures = Vec::new();
     for dose in doses_done() {
@@ -209,7 +211,7 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
                     found.holdout_after
                 );
                 if !is_named(found, dose.0) || !wrong(found, dose.0).is_empty() {
-                    failures.push(format!("{}, {what}: {}", dose.0, found.sentence));
+                    failures.push(format!("{}, {what}: {}", dose.0, sentence(found)));
                 }
             };
             let halves = diagnose(&nameplate(), swapped(&data)).unwrap();
@@ -255,7 +257,7 @@ fn placebos_are_refused() {
             let passed = placebos.par_iter().filter(|placebo| {
                 let added = add(**placebo, &baseline.model, data.clone()).unwrap();
                 if added.accepted {
-                    println!("machine {machine}: {}: {}", added.effect, added.reason);
+                    println!("machine {machine}: {}: {}", added.effect, change(&added));
                 }
                 added.accepted
             });
@@ -314,7 +316,7 @@ fn doses_in_the_runs_of_another_simulator_are_found() {
                 let is_wrong = named.effects.iter().any(|name| name != id);
                 let is_silent = dose >= 0.5 && !is_named(&named, id);
                 if is_off || found <= before || is_wrong || is_silent {
-                    failures.push(format!("{id} x {dose}: {found}, {}", named.sentence));
+                    failures.push(format!("{id} x {dose}: {found}, {}", sentence(&named)));
                 }
                 before = found;
             }

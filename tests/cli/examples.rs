@@ -45,14 +45,14 @@ fn a_foreign_csv_gives_the_resistance() {
 #[test]
 fn the_fan_is_named() {
     let found = diagnose_two_runs::missing(testing::with_a_fan(0), testing::with_a_fan(3)).unwrap();
-    assert_eq!(found.effects, ["quadratic_load"], "{}", found.sentence);
+    assert_eq!(found.effects, ["quadratic_load"], "{:?}", found.answer());
 }
 
 #[test]
 fn an_effect_of_ones_own_is_judged_like_any_other() {
     let result = own_effect::judged().unwrap();
     assert_eq!(result.parameters[0].key, "cubic_load.cubic_n_m_s3_per_rad3");
-    assert!(result.parameters[0].value.unwrap() > 0.0, "{}", result.reason);
+    assert!(result.parameters[0].value.unwrap() > 0.0, "{:?}", result.finding);
 }
 
 #[test]

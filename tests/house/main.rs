@@ -2,6 +2,7 @@
 
 mod architecture;
 mod citations;
+mod codes;
 mod effects;
 mod faults;
 mod text_files;

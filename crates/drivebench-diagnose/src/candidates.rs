@@ -8,13 +8,16 @@ use super::floor::Floor;
 use super::joint::answer::{Inference, Onset, RunOf};
 use super::joint::marginal::Inferred;
 use super::ladder::Standing;
+use super::limits::WhyOpen;
 use super::reached::{self, Reached};
 use super::score::{Fitted, by_key, parameters_of};
+use super::vetoes::VetoReason;
 use drivebench_identify::claims::{has_no_scale, is_tied};
+use drivebench_identify::noise::FloorSource;
 use drivebench_identify::verdict::judge;
-use drivebench_model::plant::{Effect, Scenario, Slot, effect};
+use drivebench_model::findings;
+use drivebench_model::plant::{Effect, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
-use drivebench_model::text::number::{probability, significant, with_unit};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
 const SUPPORTED_PROBABILITY: f64 = 0.9;
@@ -35,16 +38,6 @@ pub enum Status {
 }
 
 impl Status {
-    /// As a person reads it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Supported => "supported",
-            Self::Possible => "possible",
-            Self::RuledOut => "ruled out",
-            Self::NotExcited => "not excited",
-        }
-    }
-
     /// The word for a probability.
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED_PROBABILITY {
@@ -95,7 +88,11 @@ pub struct Candidate {
     pub upper_bound: Option<f64>,
     /// A size that would have been named in 95 of 100 such records.
     pub detectable: Option<f64>,
-    pub evidence: String,
+    #[serde(rename = "code")]
+    pub finding: CandidateFinding,
+    /// Why it is not named whatever its probability is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub not_named: Option<VetoReason>,
     /// Whether the search did not come to a judgement of it: it is neither ruled out nor known not to be excited.
     pub is_open: bool,
     /// Of the training run: a time that is longer says nothing.
@@ -103,48 +100,29 @@ pub struct Candidate {
     pub run_s: f64,
 }
 
-/// Factor from which on it is worth a word that intervals were widened.
-const WORTH_SAYING_RATIO: f64 = 1.05;
+findings! {
+    /// What the runs show of an effect.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum CandidateFinding {
+        NotJudged { why: &'static str } = "cannot_be_judged",
+        LeftOpen(WhyOpen) = "left_open",
+        NotShown = "would_not_show",
+        /// It is in the answer: what errors are counted in, and where the hold-out comes from.
+        Named { floor: FloorSource, holdout_from: HoldoutFrom } = "named",
+        RuledOut = "ruled_out",
+        MayBeThere { upper_bound: Option<f64> } = "may_be_there",
+    }
+}
 
 impl Candidate {
     /// These runs do not tell it from `other`, which is in the answer or in the model.
-    pub(super) fn is_as_good_as(&mut self, other: &'static str) {
+    pub(super) const fn is_as_good_as(&mut self, other: &'static str) {
         self.as_good_as = Some(other);
-        self.evidence += "; ";
-        self.evidence += &as_good_as(other);
-    }
-
-    /// Said beside its size where its intervals are wider than the noise alone makes them.
-    pub fn widened(&self) -> Option<String> {
-        (self.interval_factor > WORTH_SAYING_RATIO).then(|| {
-            format!(
-                "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
-                self.interval_factor
-            )
-        })
     }
 
     /// Whether its refit did not show what its probability says.
     pub fn is_not_borne_out(&self) -> bool {
         self.status == Status::Possible && self.probability > LIKELY_PROBABILITY
-    }
-
-    /// What its size is below.
-    pub fn at_most(&self) -> Option<String> {
-        self.in_words("at most", self.upper_bound)
-    }
-
-    /// The smallest size that would have been named.
-    pub fn seen_from(&self) -> Option<String> {
-        self.in_words("seen from", self.detectable)
-    }
-
-    /// A size in the unit of the parameter that gives the effect its size.
-    fn in_words(&self, lead: &str, size: Option<f64>) -> Option<String> {
-        let effect = effect::find(self.effect)?;
-        let unit = effect.parameters().get(effect.size_index())?.unit;
-        let size = told(size, unit, self.run_s)?;
-        Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
     }
 }
 
@@ -195,7 +173,6 @@ pub(super) fn candidates(
         };
         let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
         let onsets = inference.onsets(id);
-        let happening = happening(inferred.effect, &onsets, evidence.holdout_from);
         // Of what did not happen in the fit run its fit knows nothing.
         let elsewhere = onsets.first().filter(|onset| onset.run == RunOf::Holdout);
         let parameters = match (rung, elsewhere) {
@@ -208,7 +185,6 @@ pub(super) fn candidates(
             let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
             if explainable > 0.0 { 100.0 * fall / explainable } else { 0.0 }
         });
-        let times = evidence.noise.source.times();
         let is_sized = !(has_no_scale && is_tied(spec_unit(inferred.effect)));
         let [bound, least] =
             [inferred.upper_bound, inferred.detectable].map(|size| size.filter(|_| is_sized));
@@ -230,23 +206,21 @@ pub(super) fn candidates(
             // The size of what is named has an interval, and one bound is enough.
             upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
             detectable: least.filter(|_| why_open.is_none()),
-            evidence: match open {
-                Some(reason) => format!("{} is left open: {reason}", inferred.effect.card().name),
-                None => evidence_sentence(
-                    inferred,
-                    (status, [bound, least]),
-                    rung,
-                    (times, run_s),
-                    happening,
-                ),
+            finding: match (open, inferred.why_not) {
+                (Some(why), _) => CandidateFinding::LeftOpen(why),
+                (None, Some(why)) => CandidateFinding::NotJudged { why },
+                _ if status == Status::NotExcited => CandidateFinding::NotShown,
+                _ if rung.is_some() => CandidateFinding::Named {
+                    floor: evidence.noise.source,
+                    holdout_from: evidence.holdout_from,
+                },
+                _ if status == Status::RuledOut => CandidateFinding::RuledOut,
+                _ => CandidateFinding::MayBeThere { upper_bound: bound },
             },
+            not_named: veto,
             is_open: open.is_some(),
             run_s,
         };
-        if let Some(reason) = veto {
-            candidate.evidence += "; not named: ";
-            candidate.evidence += reason;
-        }
         let mut pairs = inference.confusable.iter();
         if let Some([named, _]) = pairs.find(|pair| pair[1] == id) {
             candidate.is_as_good_as(named);
@@ -278,84 +252,6 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
         .collect()
 }
 
-/// When something that happens once did so, and what it changed.
-pub(super) fn happening(
-    effect: &dyn Effect,
-    onsets: &[Onset],
-    from: HoldoutFrom,
-) -> Option<String> {
-    let change = effect.card().changes.unwrap_or(effect.card().name);
-    let size = |onset: &Onset| match unit_of_size(effect) {
-        "(a ratio)" => format!("{change} {:+.0} %", 100.0 * onset.size),
-        unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),
-        unit => format!("{change} {:+.3} {unit}", onset.size),
-    };
-    let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
-    let place = |onset: &Onset| match (onset.run, onset.number) {
-        (RunOf::Fit, _) => "in the fit run".to_owned(),
-        (RunOf::Whole, _) => "in the first run".to_owned(),
-        (RunOf::Holdout, _) => "in the hold-out".to_owned(),
-        (RunOf::Later, number) => format!("in later run {}", number.unwrap_or(1)),
-    };
-    let is_first = |onset: &Onset| matches!(onset.run, RunOf::Fit | RunOf::Whole);
-    match onsets {
-        [] => None,
-        [one] if from == HoldoutFrom::Split && is_first(one) => Some(when(one)),
-        [one] => Some(format!("{} only, {}", place(one), when(one))),
-        several => {
-            let each = several.iter().map(|own| {
-                if is_first(own) { when(own) } else { format!("{} {}", place(own), when(own)) }
-            });
-            Some(each.collect::<Vec<_>>().join("; "))
-        }
-    }
-}
-
-/// Said of an effect that these runs do not tell from another.
-fn as_good_as(other: &str) -> String {
-    format!("explains as much as {other}; these runs cannot tell them apart")
-}
-
-fn evidence_sentence(
-    inferred: &Inferred,
-    (status, [bound, least]): (Status, [Option<f64>; 2]),
-    rung: Option<[&Standing; 2]>,
-    (times, run_s): (&str, f64),
-    happening: Option<String>,
-) -> String {
-    let card = inferred.effect.card();
-    let unit = unit_of_size(inferred.effect);
-    let percent = probability(inferred.probability);
-    let size = |size: f64| format!("{} {unit}", significant(size, 2));
-    let unit_of_run = spec_unit(inferred.effect);
-    let most = told(bound, unit_of_run, run_s)
-        .map_or_else(String::new, |bound| format!("; at most {}", size(bound)));
-    let shown = told(least, unit_of_run, run_s)
-        .map_or_else(String::new, |least| format!("; {} would have shown", size(least)));
-    if let Some(reason) = inferred.why_not {
-        return format!("{} cannot be judged from this run: {reason}", card.name);
-    }
-    match (status, rung) {
-        (Status::NotExcited, _) => {
-            format!("{}: these runs would not show it; {}", card.name, card.excite)
-        }
-        (_, Some([before, after])) => format!(
-            "{} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {times}",
-            card.name,
-            happening.map_or_else(String::new, |when| format!(" ({when})")),
-            before.score.nrms,
-            after.score.nrms
-        ),
-        (Status::RuledOut, None) => format!("{} is there with {percent}{most}{shown}", card.name),
-        (_, None) => format!("{} may be there, with {percent}{most}", card.name),
-    }
-}
-
-/// A bound that says something: a time that is longer than the run does not.
-fn told(size: Option<f64>, unit: &str, run_s: f64) -> Option<f64> {
-    size.filter(|size| size.is_finite() && (unit != "s" || *size <= run_s))
-}
-
 fn length_s(run: &Scenario) -> f64 {
     let last = run.sample_time_s.last().copied();
     last.map_or(0.0, |last| last - run.begin_s())
@@ -366,30 +262,9 @@ fn spec_unit(effect: &dyn Effect) -> &'static str {
     effect.parameters()[effect.size_index()].unit
 }
 
-/// The same in words that can stand behind a number.
-fn unit_of_size(effect: &dyn Effect) -> &'static str {
-    match spec_unit(effect) {
-        "-" => "(a ratio)",
-        unit => unit,
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_time_that_is_longer_than_the_run_is_no_bound() {
-        for (size, unit, expected) in [
-            (Some(3.67e3), "s", None),
-            (Some(0.004), "s", Some(0.004)),
-            (Some(3.67e3), "A", Some(3.67e3)),
-            (Some(f64::INFINITY), "A", None),
-            (None, "s", None),
-        ] {
-            assert_eq!(told(size, unit, 12.0), expected, "{size:?} {unit}");
-        }
-    }
 
     #[test]
     fn words_follow_probabilities_and_what_is_named_is_never_not_excited() {

@@ -4,14 +4,15 @@
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
+use super::limits::Limit;
 use super::location::{
-    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, locate, undecided,
+    EquationBalance, ErrorMap, ErrorOf, FailureLocation, Located, Undecided, locate, undecided,
 };
 use super::mechanical::{self, Balance, Sides};
 use super::residual::ResidualLights;
 use super::score::{Score, SignalScore, signal_score};
-use super::trivial;
-use drivebench_identify::balance::{Method, TorqueRows};
+use super::trivial::{self, TrivialPrediction};
+use drivebench_identify::balance::{Derivation, Method, TorqueRows};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::numerics::count::whole;
@@ -64,7 +65,8 @@ pub struct ProcessingError {
     pub confirm_relative_error_percent: Option<f64>,
     /// Whether the parameters were fitted under this processing, or taken as they are.
     pub fitted: bool,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub derivation: Derivation,
 }
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -81,15 +83,7 @@ pub struct Signals {
     pub speed_windows_s: Option<f64>,
 }
 
-impl Signals {
-    /// What the speed's figures are of: those of windows must not pass for those of a free run.
-    pub fn speed_name(&self) -> String {
-        self.speed_windows_s
-            .map_or_else(|| "speed".to_owned(), |length_s| format!("speed ({length_s} s windows)"))
-    }
-}
-
-/// The comparison, as `compare --json` prints it.
+/// The comparison; `compare --json` prints it with its sentences.
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
     pub signals: Signals,
@@ -108,9 +102,9 @@ pub struct Comparison {
     pub holdout_rmse: f64,
     /// What predicts the hold-out as well as the fitted model does: where such a model fails is no place in the machine.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub not_fitted: Option<String>,
+    pub not_fitted: Option<TrivialPrediction>,
     /// What these runs cannot judge, and why.
-    pub limits: Vec<String>,
+    pub limits: Vec<Limit>,
 }
 
 impl Comparison {
@@ -120,7 +114,7 @@ impl Comparison {
     }
 
     /// Of a fitted model that follows nothing of the machine: without the places where it fails.
-    fn without_places(mut self, not_fitted: Option<String>) -> Self {
+    fn without_places(mut self, not_fitted: Option<TrivialPrediction>) -> Self {
         if not_fitted.is_some() {
             (self.locations, self.balances, self.map) = (Vec::new(), Vec::new(), None);
         }
@@ -133,41 +127,55 @@ impl Comparison {
     }
 
     /// That it is not known which equation, or which variable, where two are within their uncertainty.
-    pub fn undecided(&self) -> Option<String> {
+    pub fn undecided(&self) -> Option<Undecided> {
         undecided(&self.balances, &self.locations)
     }
 
-    /// Where it fails, as card, page, terminal and screen say it: one sentence, and the places that it does not name. The
-    /// balances of short windows and the residual of the whole run are two tests: what one of them finds and the other does
-    /// not is said of both.
-    pub fn where_it_fails(&self) -> (String, &[FailureLocation]) {
-        let (undecided, places) = (self.undecided(), self.locations.as_slice());
-        match (undecided, places.split_first()) {
-            (Some(sentence), _) => (sentence, places),
-            (None, Some((first, others))) => (first.sentence.clone(), others),
-            (None, None) => (self.no_place().to_owned(), places),
+    /// Where it fails, and the places beside the one that is named. The balances of short windows and the residual of the whole
+    /// run are two tests: what one of them finds and the other does not is reported of both.
+    pub fn where_it_fails(&self) -> (Where, &[FailureLocation]) {
+        match (self.undecided(), self.locations.as_slice()) {
+            (Some(undecided), places) => (Where::Undecided(undecided), places),
+            (None, [_, others @ ..]) => (Where::First, others),
+            (None, []) => (self.no_place(), &[]),
         }
     }
 
     /// Why no place is named.
-    fn no_place(&self) -> &'static str {
+    fn no_place(&self) -> Where {
         let lights = &self.residual;
-        let is_more_than_noise = lights.enough_samples && !lights.is_noise();
         if self.not_fitted.is_some() {
-            "not known: the model follows the run no better than a trivial prediction"
+            Where::NotFitted
         } else if self.balances.is_empty() {
-            "these runs do not tell where it fails"
+            Where::NoBalance
         } else if self.balances.iter().any(|own| own.fails) {
-            "an equation fails, and its error follows no speed, current, angle or time"
+            Where::AlongNothing
         } else if self.balances.iter().any(|own| own.nres.is_none()) {
-            "not known: the errors follow none of the variables examined, and no noise is known"
-        } else if is_more_than_noise {
-            "no equation fails beyond its noise in short windows, yet more than noise is left over the whole run: too little at \
-             any one place, or too slow, to say where"
+            Where::NoNoiseFloor
+        } else if lights.enough_samples && !lights.is_noise() {
+            Where::OverTheWholeRun
         } else {
-            "nowhere: no equation fails beyond its noise"
+            Where::Nowhere
         }
     }
+}
+
+/// Where a model fails.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Where {
+    /// At the first of the locations.
+    First,
+    Undecided(Undecided),
+    /// The model follows the run no better than a trivial prediction.
+    NotFitted,
+    NoBalance,
+    /// An equation fails, and its error follows none of the variables.
+    AlongNothing,
+    /// The errors follow nothing, and no noise is known to compare them with.
+    NoNoiseFloor,
+    /// No equation fails in short windows, yet more than noise is left over the whole run.
+    OverTheWholeRun,
+    Nowhere,
 }
 
 /// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of: a fitted
@@ -221,7 +229,7 @@ pub fn compare(
         holdout_from: evidence.holdout_from,
         holdout_rmse: holdout.nrms,
         not_fitted: None,
-        limits: limits(evidence, aside.into_iter().chain(located.notes).collect()),
+        limits: limits(evidence, aside.map(Limit::RunsSetAside).into_iter().chain(located.notes)),
         locations: located.locations,
         balances: located.balances,
         map: located.map,
@@ -230,20 +238,13 @@ pub fn compare(
 }
 
 /// What these runs cannot answer.
-fn limits(evidence: &Evidence, mut notes: Vec<String>) -> Vec<String> {
-    if evidence.noise.source == FloorSource::None {
-        let limit = "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
-                     that an error cannot be told from noise; errors are shown beside the drive instead";
-        notes.insert(0, limit.to_owned());
-    }
-    notes.extend(evidence.unjudged());
-    if evidence.holdout_from == HoldoutFrom::Split {
-        notes.push(format!(
-            "no other run is held out: the {} of the run are, which share its day and its excitation",
-            evidence.held_out_part()
-        ));
-    }
-    notes
+fn limits(evidence: &Evidence, notes: impl Iterator<Item = Limit>) -> Vec<Limit> {
+    let floor = evidence.noise.source == FloorSource::None;
+    let split = evidence.holdout_from == HoldoutFrom::Split;
+    let mut limits: Vec<Limit> = floor.then_some(Limit::NoNoiseFloor).into_iter().collect();
+    limits.extend(notes.chain(evidence.unjudged()));
+    limits.extend(split.then(|| Limit::NoOtherRun { share: evidence.held_out_share() }));
+    limits
 }
 
 /// Each residual with the input that held then; the times ascend.
@@ -365,7 +366,7 @@ fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<Proces
         holdout_relative_error_percent: relative(&sides.holdout, &model),
         confirm_relative_error_percent: sides.confirm.as_ref().map(|rows| relative(rows, &model)),
         fitted,
-        sentence: sides.training.sentence.clone(),
+        derivation: sides.training.derivation.clone(),
     })
 }
 

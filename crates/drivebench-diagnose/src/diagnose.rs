@@ -10,16 +10,18 @@ use super::joint::answer::{Inference, Unknown, eligible};
 use super::joint::expected_information::InformationBasis;
 use super::joint::free_run::likelier;
 use super::ladder::{Bench, Rung, Standing, climb};
+use super::limits::Limit;
 use super::location::{
     AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
 };
 use super::next_experiment::NextExperiment;
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
-use super::sentence::{NOTHING_IS_MISSING, NOTHING_THAT_SHOWS, not_told, sentence};
-use super::{trivial, vetoes};
+use super::trivial::{self, TrivialPrediction};
+use super::vetoes;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::FitError;
+use drivebench_model::findings;
 use drivebench_model::plant::effect::{self, CATALOGUE};
 use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
@@ -27,7 +29,7 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 /// Share of the explainable error that unknown parts and the disturbance may make beside what is named.
 const HALF_SHARE: f64 = 0.5;
 /// Standard deviations by which the named effects must make the confirming run likelier.
-const CONFIRMED_SIGMAS: f64 = 3.0;
+pub const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Error that needs no explanation, in units of a floor that is known.
 const AT_MOST_NOISE: f64 = 1.0;
 
@@ -42,54 +44,41 @@ pub enum DiagnosisVerdict {
     NotFitted,
 }
 
-/// What an answer comes to, and how far it may be relied on: one table of words for page, screen and terminal.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Answer {
-    Found,
-    /// The run that had no part in it speaks against it.
-    NotConfirmed,
-    /// Much of the error is still unexplained.
-    InPart,
-    Ambiguous,
-    /// Effects are there, and the error was no more than noise without them.
-    NoErrorLeft,
-    NothingMissing,
-    /// There are effects that these runs would not show, or not rule out.
-    NothingThatShows,
-    NothingFound,
-    Unexplained,
-    NotFitted,
+findings! {
+    /// What an answer comes to, and how far it may be relied on.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Answer {
+        Found = "effect_found",
+        /// The run that had no part in it contradicts it.
+        NotConfirmed = "effect_not_confirmed",
+        /// Much of the error is still unexplained.
+        InPart = "effect_not_sufficient",
+        Ambiguous = "ambiguous",
+        /// Effects are there, and the error was no more than noise without them.
+        NoErrorLeft = "no_error_left",
+        NothingMissing = "nothing_missing",
+        /// There are effects that these runs would not show, or not rule out.
+        NothingThatShows = "nothing_missing_that_shows",
+        NothingFound = "nothing_found",
+        Unexplained = "unexplained",
+        NotFitted = "not_fitted",
+    }
 }
 
 impl Answer {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Found => "Effect found",
-            Self::NotConfirmed => "Effect found, not confirmed",
-            Self::InPart => "Effect found, not sufficient",
-            Self::Ambiguous => "Ambiguous",
-            Self::NoErrorLeft => "No error left to explain",
-            Self::NothingMissing => "Nothing missing",
-            Self::NothingThatShows => "Nothing missing that these runs could show",
-            Self::NothingFound => "Nothing found",
-            Self::Unexplained => "Unexplained",
-            Self::NotFitted => "Not fitted",
-        }
-    }
-
     /// Whether nothing is to be said against it.
     pub const fn is_whole(self) -> bool {
         matches!(self, Self::Found | Self::NothingMissing)
     }
 }
 
-/// The answer, as `diagnose --json` prints it.
+/// The answer; `diagnose --json` prints it with its sentences.
 #[derive(Clone, Debug, Serialize)]
 pub struct Diagnosis {
     pub verdict: DiagnosisVerdict,
     /// What predicts the hold-out as well as the model does, where that is why nothing is concluded.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub reason: Option<String>,
+    pub reason: Option<TrivialPrediction>,
     /// Of the motor, with every effect of the answer beside them.
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
@@ -122,16 +111,20 @@ pub struct Diagnosis {
     pub axis_map: Vec<AxisMap>,
     /// The answer on a run that had no part in it, where there is one: the headline.
     pub confirm: Option<Confirmation>,
-    /// One sentence for a person.
-    pub sentence: String,
     /// What these runs cannot judge, and why.
-    pub limits: Vec<String>,
+    pub limits: Vec<Limit>,
     /// What the named effects cannot be told from by any run.
     pub equivalences: Vec<&'static str>,
     /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
     pub next_experiment: Option<NextExperiment>,
     /// Whether the search ended by its budget of work before a set of effects stood: what it did not find may be there.
     pub search_was_cut: bool,
+    /// Effects of the baseline that are not needed beside the others.
+    #[serde(skip)]
+    pub superfluous: Vec<&'static str>,
+    /// Effects that the model has got since, each with a candidate that these runs do not tell from it.
+    #[serde(skip)]
+    pub added_rivals: Vec<[&'static str; 2]>,
     /// The refitted baseline and the model with every accepted effect.
     #[serde(skip)]
     pub baseline: Fitted,
@@ -174,21 +167,8 @@ impl Diagnosis {
         }
     }
 
-    /// The sentence without what the name of the answer says.
-    pub fn after_name(&self) -> &str {
-        let sentence = self.sentence.as_str();
-        let said = [
-            "nothing is missing: ",
-            "nothing missing that these runs could show: ",
-            "no error left to explain: ",
-            "missing: ",
-        ];
-        let rest = said.iter().find_map(|said| sentence.strip_prefix(said));
-        rest.unwrap_or(sentence)
-    }
-
     /// Whether the model as it was given leaves no more than the noise, on every run that it is judged by.
-    pub(super) fn has_no_error(&self) -> bool {
+    pub fn has_no_error(&self) -> bool {
         let confirm = self.confirm.as_ref().and_then(|run| run.error_before);
         let is_noise = |error: f64| error <= AT_MOST_NOISE;
         self.noise_floor_from != FloorSource::None
@@ -197,12 +177,12 @@ impl Diagnosis {
     }
 
     /// Whether every effect is ruled out, so that nothing may hide.
-    pub(super) fn is_all_judged(&self) -> bool {
+    pub fn is_all_judged(&self) -> bool {
         let mut candidates = self.candidates.iter();
         candidates.all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
     }
 
-    /// Marks the candidates that these runs do not tell from effects that the model has got since, and says so: `pairs` of
+    /// Marks the candidates that these runs do not tell from effects that the model has got since: `pairs` of
     /// an effect of the model and its rival.
     pub fn remember_rivals(&mut self, pairs: &[[&'static str; 2]]) {
         for candidate in &mut self.candidates {
@@ -215,13 +195,7 @@ impl Diagnosis {
             let mut candidates = self.candidates.iter();
             candidates.any(|own| own.effect == pair[1])
         };
-        let told: Vec<[&'static str; 2]> = pairs.iter().filter(is_rival).copied().collect();
-        if !self.is_all_judged()
-            && let Some(rest) = self.sentence.strip_prefix(NOTHING_IS_MISSING)
-        {
-            self.sentence = format!("{NOTHING_THAT_SHOWS}{rest}");
-        }
-        self.sentence.push_str(&not_told(&told));
+        self.added_rivals.extend(pairs.iter().filter(is_rival));
     }
 
     /// The curve of an effect on a run, the error without it beside what it does at its size: of one in the baseline, a
@@ -409,13 +383,12 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         axis_map,
         ladder: rungs.iter().map(Standing::rung).collect(),
         confirm: None,
-        sentence: String::new(),
         limits: bench
             .limits()
             .into_iter()
             .chain(inference.lost_rows(floor))
-            .chain(inference.why_open().map(|reason| format!("nothing is ruled out: {reason}")))
-            .chain(repeatability.why_not)
+            .chain(inference.why_open().map(Limit::NothingRuledOut))
+            .chain(repeatability.why_not.map(Limit::RepeatUnknown))
             .collect(),
         equivalences: (named.iter())
             .filter_map(|id| effect::find(id))
@@ -423,6 +396,8 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             .copied()
             .collect(),
         next_experiment: None,
+        superfluous: inference.superfluous.clone(),
+        added_rivals: Vec::new(),
         baseline,
         model,
         information_basis: Some(InformationBasis::new(
@@ -437,7 +412,6 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     }
     diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);
     diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
-    diagnosis.sentence = sentence(&diagnosis) + &inference.superfluous_in_words();
     diagnosis
 }
 
@@ -450,13 +424,14 @@ fn of_motor(fit: &Fitted) -> Vec<ParameterEstimate> {
 
 /// The answer where the fitted model beats no trivial prediction: without names, bounds and places, which would all be about a
 /// model that follows nothing.
-fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosis {
-    let sentence = format!(
-        "{reason}; a model that predicts no better shows nothing by what it leaves: no effect is named and none is ruled out"
-    );
+fn not_fitted(diagnosis: Diagnosis, reason: TrivialPrediction, base: &Standing) -> Diagnosis {
     let unknown = |own: &ParameterEstimate| match own.verdict {
         Verdict::Fixed => own.clone(),
-        _ => ParameterEstimate::not_observable(&own.key, own.unit, reason.clone()),
+        _ => ParameterEstimate::not_observable(
+            &own.key,
+            own.unit,
+            "the model predicts the hold-out no better than a trivial prediction",
+        ),
     };
     // Of the baseline, which is the model too: every output gives the same.
     let fit = Fitted {
@@ -485,7 +460,7 @@ fn not_fitted(diagnosis: Diagnosis, reason: String, base: &Standing) -> Diagnosi
         model: fit,
         information_basis: None,
         rivals: Vec::new(),
-        sentence,
+        superfluous: Vec::new(),
         ..diagnosis
     }
 }
@@ -551,10 +526,29 @@ pub struct Confirmation {
     /// By how many standard deviations the named effects make the run likelier; null where none is named.
     pub z: Option<f64>,
     pub explained_percent: Option<f64>,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub finding: ConfirmationFinding,
 }
 
-/// The confirming run's word on an answer, `noise` being what is random beside both of its models; none without such a run.
+findings! {
+    /// What the run shows that had no part in the answer.
+    #[derive(Clone, Debug, Default, PartialEq, Eq)]
+    pub enum ConfirmationFinding {
+        /// What the named effects take from its error; whether what is left there is no more than noise.
+        Effects { explains_it: bool } = "effects_judged_there",
+        NoNoiseFloor = "no_noise_floor",
+        AtTheFloorToo = "error_at_the_floor_there_too",
+        MissingThere = "something_missing_there",
+        ExplainedThere = "explained_to_the_noise_there",
+        UnexplainedToo = "unexplained_there_too",
+        #[default]
+        NothingConcluded = "nothing_concluded",
+        /// It cannot be judged, with the message.
+        NotJudged(String) = "confirming_run_not_judged",
+    }
+}
+
+/// What the confirming run shows of an answer, `noise` being what is random beside both of its models; none without such a run.
 /// `in_motion`: how much noisier the sensors are in motion than at rest.
 fn confirmed(
     bench: &Bench,
@@ -564,8 +558,7 @@ fn confirmed(
 ) -> Option<Confirmation> {
     let evidence = &bench.evidence;
     let run = evidence.confirm.as_ref()?;
-    let source = evidence.noise.source;
-    let is_known = source != FloorSource::None;
+    let is_known = evidence.noise.source != FloorSource::None;
     let repeated = || -> Result<Confirmation, FitError> {
         let before = bench.confirming(&diagnosis.baseline.model, run)?;
         let after = bench.confirming(&diagnosis.model.model, run)?;
@@ -582,60 +575,33 @@ fn confirmed(
         let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
         let at_the_floor = floor.is_reached(before / in_motion);
         let explains_it = floor.is_reached(after / in_motion) || !is_known;
-        let times = source.times();
-        let (named, confirmed, found) = match diagnosis.verdict {
+        let (confirmed, finding) = match diagnosis.verdict {
             DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous => {
-                let found = format!(
-                    "there {} takes the error from {before:.2} to {after:.2} {times} and explains {:.0} % of what can be \
-                     explained (z {z:.1}, {CONFIRMED_SIGMAS} is asked){}",
-                    diagnosis.effects.join(" and "),
-                    100.0 * share,
-                    if explains_it { "" } else { "; what is left there is more than noise" }
-                );
-                (true, Some(holds), found)
+                (Some(holds), ConfirmationFinding::Effects { explains_it })
             }
-            DiagnosisVerdict::None => {
-                let found = if !is_known {
-                    format!(
-                        "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"
-                    )
-                } else if at_the_floor {
-                    format!("the error is {before:.2} {times} there too")
-                } else {
-                    format!(
-                        "the error there is {before:.2} {times}: something is missing that only this run shows"
-                    )
-                };
-                (false, is_known.then_some(at_the_floor), found)
+            DiagnosisVerdict::None if !is_known => (None, ConfirmationFinding::NoNoiseFloor),
+            DiagnosisVerdict::None if at_the_floor => {
+                (Some(true), ConfirmationFinding::AtTheFloorToo)
             }
-            DiagnosisVerdict::Unexplained => {
-                let found = if at_the_floor {
-                    format!("there the model explains the run to the noise ({before:.2} {times})")
-                } else {
-                    format!("the error is {before:.2} {times} there too")
-                };
-                (false, Some(!at_the_floor), found)
+            DiagnosisVerdict::None => (Some(false), ConfirmationFinding::MissingThere),
+            DiagnosisVerdict::Unexplained if at_the_floor => {
+                (Some(false), ConfirmationFinding::ExplainedThere)
             }
-            DiagnosisVerdict::NotFitted => (false, None, "nothing is concluded".to_owned()),
+            DiagnosisVerdict::Unexplained => (Some(true), ConfirmationFinding::UnexplainedToo),
+            DiagnosisVerdict::NotFitted => (None, ConfirmationFinding::NothingConcluded),
         };
-        let word = match confirmed {
-            Some(true) => "confirmed",
-            Some(false) => "NOT confirmed",
-            None => "neither confirmed nor refuted",
-        };
+        let named = matches!(finding, ConfirmationFinding::Effects { .. });
         Ok(Confirmation {
             confirmed,
             error_before: Some(before),
             error_after: Some(if named { after } else { before }),
             z: named.then_some(z),
             explained_percent: named.then_some(100.0 * share),
-            sentence: format!("{word} on the run that had no part in the answer: {found}"),
+            finding,
         })
     };
     let refused = |error: FitError| Confirmation {
-        sentence: format!(
-            "the confirming run cannot be judged, so that nothing is confirmed: {error}"
-        ),
+        finding: ConfirmationFinding::NotJudged(error.to_string()),
         ..Confirmation::default()
     };
     Some(repeated().unwrap_or_else(refused))
@@ -658,7 +624,7 @@ mod tests {
         let there = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(there.effects, ["quadratic_load"]);
         let found = third(&there);
-        assert_eq!(found.confirmed, Some(true), "{}", found.sentence);
+        assert_eq!(found.confirmed, Some(true), "{found:?}");
         assert!(found.z.unwrap() > CONFIRMED_SIGMAS && found.explained_percent.unwrap() > 90.0);
         assert!(found.error_after.unwrap() < 1.15 && found.error_before.unwrap() > 1.5);
 
@@ -669,7 +635,7 @@ mod tests {
         assert_eq!(elsewhere.effects, there.effects);
         assert!((elsewhere.holdout_after - there.holdout_after).abs() < 1e-12);
         let found = third(&elsewhere);
-        assert_eq!(found.confirmed, Some(false), "{}", found.sentence);
+        assert_eq!(found.confirmed, Some(false), "{found:?}");
         assert!(found.error_after.unwrap() > found.error_before.unwrap());
 
         // Of an error that is below the noise nothing is explained.
@@ -683,10 +649,6 @@ mod tests {
         assert_eq!(below.answer(), Answer::Found);
         let below = Diagnosis { confirm: None, ..below };
         assert_eq!(below.answer(), Answer::NoErrorLeft);
-        let said = sentence(&below);
-        let start = "no error left to explain: held-out error 0.95 times the noise floor";
-        assert!(said.starts_with(start) && said.contains("quadratic_load"), "{said}");
-        assert!(!said.contains("% explained"), "{said}");
     }
 
     #[test]
@@ -702,10 +664,9 @@ mod tests {
         assert_eq!(third(&hidden).confirmed, Some(false));
         // What one run contradicts is not said.
         assert!(!hidden.sufficient && nothing.sufficient);
-        let (whole, said) = (&nothing.sentence, &hidden.sentence);
-        assert!(whole.starts_with("nothing is missing"), "{whole}");
-        assert!(!said.contains("nothing is missing"), "{said}");
-        assert!(said.contains("on the confirming run"), "{said}");
+        assert_eq!(nothing.answer(), Answer::NothingMissing);
+        assert_eq!(hidden.answer(), Answer::NothingFound);
+        assert_eq!(third(&hidden).finding, ConfirmationFinding::MissingThere);
         data.confirm = None;
         assert_eq!(diagnose(&nameplate(), data).unwrap().confirm, None);
     }

@@ -4,6 +4,7 @@ use std::borrow::Cow;
 
 use serde::Serialize;
 
+use super::limits::{Limit, LongRun, SearchedPart, SetAside, Unjudged};
 use super::score::{Score, SignalScore, varies};
 use drivebench_identify::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
 use drivebench_identify::output_error::{self, Fit, FitError};
@@ -42,9 +43,6 @@ pub struct Evidence {
     /// When each of them begins there, s after its first input.
     pub begins_s: Vec<f64>,
 }
-
-/// What is said of a hold-out in which neither speed nor current changes.
-pub(super) const STILL: &str = "what is held out stands still or runs steadily";
 
 /// The part of a run that trains and the one that is held out: by the first share at which both move.
 fn split(run: &Scenario, noise: &NoiseFloor) -> (Scenario, Scenario) {
@@ -135,25 +133,20 @@ impl Evidence {
     }
 
     /// The same for a fit of these effects: where one of them happens once, counts from the first command of a run or keeps a
-    /// state, runs behind each other cannot be fitted as one, and the first is left alone. In words what was set aside, and
-    /// why.
+    /// state, runs behind each other cannot be fitted as one, and the first is left alone, with what was set aside.
     #[must_use]
-    pub fn fitted_with(&self, effects: &[&'static str]) -> (Cow<'_, Self>, Option<String>) {
+    pub fn fitted_with(&self, effects: &[&'static str]) -> (Cow<'_, Self>, Option<SetAside>) {
         let goes_on = |id: &&&str| effect::find(id).is_none_or(Effect::goes_on_over_runs);
-        let ids: Vec<&str> = effects.iter().filter(goes_on).copied().collect();
+        let ids: Vec<&'static str> = effects.iter().filter(goes_on).copied().collect();
         if ids.is_empty() || self.parts.len() < 2 {
             return (Cow::Borrowed(self), None);
         }
-        let later = self.parts.iter().skip(1).map(|part| part.name.as_str());
-        let words = format!(
-            "{} {} set aside: {} happens once in a run or counts from its first command, and runs that are fitted behind each \
-             other cannot hold it; the answer is of {} without what was made after it, which has to be judged by itself",
-            later.collect::<Vec<_>>().join(" and "),
-            if self.parts.len() > 2 { "are" } else { "is" },
-            ids.join(" and "),
-            self.first_run().name,
-        );
-        (Cow::Owned(self.clone().of_the_first()), Some(words))
+        let aside = SetAside {
+            later: self.parts.iter().skip(1).map(|part| part.name.clone()).collect(),
+            effects: ids,
+            first: self.first_run().name.clone(),
+        };
+        (Cow::Owned(self.clone().of_the_first()), Some(aside))
     }
 
     /// The run that is fitted, the first of several.
@@ -182,15 +175,15 @@ impl Evidence {
         &self.begins_s
     }
 
-    /// The same with the beginning of runs that are longer than a search can hold, and in words what of them it is. What
+    /// The same with the beginning of runs that are longer than a search can hold, and what of them it is. What
     /// comes behind has no part in the answer: it confirms it, where no other run does.
-    pub(super) fn shortened(mut self) -> (Self, Option<String>) {
+    pub(super) fn shortened(mut self) -> (Self, Option<Limit>) {
         if self.training.input != Input::Voltage {
             return (self, None);
         }
         if self.parts.len() > 1 && self.training.samples() > MOST_SAMPLES {
             let most = MOST_SAMPLES / self.parts.len();
-            let mut words = Vec::new();
+            let mut parts = Vec::new();
             let mut later = std::mem::take(&mut self.parts).into_iter();
             let first = later.next();
             self.begins_s = vec![0.0];
@@ -202,58 +195,56 @@ impl Evidence {
             self.training = first.unwrap_or(self.training);
             match self.holdout_from {
                 HoldoutFrom::Run => {
-                    let name = self.training.name.clone();
-                    let cut = shorten(&mut self.training, most_of_first, &name);
-                    words.extend(cut.map(|cut| cut.searched));
-                    let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
-                    words.extend(holdout.map(|cut| cut.searched));
+                    let name = LongRun::Named(self.training.name.clone());
+                    let cut = shorten(&mut self.training, most_of_first, name);
+                    parts.extend(cut.map(|cut| cut.searched));
+                    let holdout = shorten(&mut self.holdout, MOST_SAMPLES, LongRun::Holdout);
+                    parts.extend(holdout.map(|cut| cut.searched));
                 }
                 HoldoutFrom::Split => {
                     let cut = self.shorten_split(most_of_first);
-                    words.extend(cut.map(|cut| cut.searched));
+                    parts.extend(cut.map(|cut| cut.searched));
                 }
             }
             if let Some(repeat) = &mut self.repeat {
-                shorten(repeat, most_of_first, "the repeated run");
+                shorten(repeat, most_of_first, LongRun::Repeat);
             }
             let several = later.fold(self, |evidence, mut run| {
-                let name = run.name.clone();
-                words.extend(shorten(&mut run, most, &name).map(|cut| cut.searched));
+                let name = LongRun::Named(run.name.clone());
+                parts.extend(shorten(&mut run, most, name).map(|cut| cut.searched));
                 evidence.with_run(run)
             });
-            return (several, (!words.is_empty()).then(|| words.join("; ")));
+            let is_cut = !parts.is_empty();
+            let limit = is_cut.then_some(Limit::PartSearched { parts, rest_confirms: false });
+            return (several, limit);
         }
-        let last = match self.holdout_from {
-            HoldoutFrom::Run => {
-                let fit_run = shorten(&mut self.training, MOST_SAMPLES, "the fit run");
-                let holdout = shorten(&mut self.holdout, MOST_SAMPLES, "the hold-out");
-                match (holdout, fit_run) {
-                    (Some(holdout), Some(fit_run)) => Some(Cut {
-                        searched: format!("{}; {}", fit_run.searched, holdout.searched),
-                        ..holdout
-                    }),
-                    (holdout, fit_run) => holdout.or(fit_run),
-                }
-            }
-            HoldoutFrom::Split => self.shorten_split(MOST_SAMPLES_OF_ONE),
+        let cuts = match self.holdout_from {
+            HoldoutFrom::Run => [
+                shorten(&mut self.training, MOST_SAMPLES, LongRun::Fit),
+                shorten(&mut self.holdout, MOST_SAMPLES, LongRun::Holdout),
+            ],
+            HoldoutFrom::Split => [None, self.shorten_split(MOST_SAMPLES_OF_ONE)],
         };
-        let Some(Cut { behind, searched }) = last else {
+        let mut behind = None;
+        let mut parts = Vec::new();
+        for cut in cuts.into_iter().flatten() {
+            behind = cut.behind;
+            parts.push(cut.searched);
+        }
+        if parts.is_empty() {
             return (self, None);
-        };
+        }
         if let Some(repeat) = &mut self.repeat {
             // As the run that it repeats, so that both begin at the same moment.
             let most = match self.holdout_from {
                 HoldoutFrom::Run => MOST_SAMPLES,
                 HoldoutFrom::Split => MOST_SAMPLES_OF_ONE,
             };
-            shorten(repeat, most, "the repeated run");
+            shorten(repeat, most, LongRun::Repeat);
         }
-        if let (None, Some(behind)) = (&self.confirm, behind) {
-            self.confirm = Some(behind);
-            let words = format!("{searched}; what comes behind them is the confirming run");
-            return (self, Some(words));
-        }
-        (self, Some(searched))
+        let rest_confirms = self.confirm.is_none() && behind.is_some();
+        self.confirm = self.confirm.or(behind);
+        (self, Some(Limit::PartSearched { parts, rest_confirms }))
     }
 
     /// Shortens one run of which a part is held out to so many samples, and splits it anew.
@@ -263,18 +254,16 @@ impl Evidence {
         if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
             name.clone_into(&mut whole.name);
         }
-        let cut = shorten(&mut whole, most, "the run");
+        let cut = shorten(&mut whole, most, LongRun::Only);
         if cut.is_some() {
             (self.training, self.holdout) = split(&whole, &self.noise);
         }
         cut
     }
 
-    /// Which part of a run is held out where no other run is.
-    pub fn held_out_part(&self) -> String {
-        let all = self.holdout.samples().max(1) as f64;
-        let share = self.holdout.scored.len() as f64 / all;
-        format!("last {:.0} %", 100.0 * share)
+    /// Share of a run that is held out where no other run is.
+    pub fn held_out_share(&self) -> f64 {
+        self.holdout.scored.len() as f64 / self.holdout.samples().max(1) as f64
     }
 
     /// Whether a signal of the held-out part moves: a model that stays where it is predicts a steady one, and nothing can be
@@ -289,59 +278,43 @@ impl Evidence {
 
     /// Measured signals that the judgement does without, each with the reason, of runs that a voltage drives (the others are
     /// judged by their torque balance); and that the hold-out does not move.
-    pub fn unjudged(&self) -> Vec<String> {
-        let still = (!self.holdout_moves()).then(|| format!("{STILL}: no effect is named by it"));
+    pub fn unjudged(&self) -> Vec<Limit> {
+        let still = (!self.holdout_moves()).then_some(Limit::HoldoutStill);
         if self.training.input != Input::Voltage {
             return still.into_iter().collect();
         }
         let (current, speed): (Signal, Signal) = (|run| &run.current_a, |run| &run.speed_rad_s);
-        let why = [
-            self.why_unjudged(current, self.noise.current_a),
-            self.why_unjudged(speed, self.noise.speed_rad_s),
-        ];
-        let names = [("current", "current_a", "speed"), ("speed", "speed_rad_s", "current")];
-        let reasons = why.into_iter().zip(names);
-        let words = reasons.filter_map(|(reason, (name, key, other))| {
-            let reason = reason?;
-            Some(format!(
-                "the {name} ({key}) has no part in the judgement: {reason}; errors, verdict and sizes rest on the {other} \
-                 alone, and what shows only in the {name} would not be seen"
-            ))
+        let signals =
+            [("current", current, self.noise.current_a), ("speed", speed, self.noise.speed_rad_s)];
+        let unjudged = signals.into_iter().filter_map(|(signal, of, level)| {
+            Some(Limit::SignalUnjudged { signal, why: self.why_unjudged(of, level)? })
         });
-        words.chain(still).collect()
+        unjudged.chain(still).collect()
     }
 
     /// Of a signal whose noise is `level`, infinite where that is not known.
-    fn why_unjudged(&self, signal: Signal, level: f64) -> Option<String> {
+    fn why_unjudged(&self, signal: Signal, level: f64) -> Option<Unjudged> {
         let [fitted, held_out] = [&self.training, &self.holdout].map(|run| {
             let values = signal(run)[run.scored.clone()].iter();
             values.filter(|value| value.is_finite()).count()
         });
         if fitted == 0 {
-            let reason = "it was measured in the hold-out only";
-            return (held_out > 0).then(|| reason.to_owned());
+            return (held_out > 0).then_some(Unjudged::OnlyInHoldout);
         }
         if level.is_finite() {
-            let alone = "it was not measured in the hold-out, which decides";
-            return (held_out == 0).then(|| alone.to_owned());
+            return (held_out == 0).then_some(Unjudged::NotInHoldout);
         }
         if !varies(signal(&self.training)) {
-            return Some("it is the same throughout the run".to_owned());
+            return Some(Unjudged::Constant);
         }
         Some(match self.noise.source {
             FloorSource::Standstill => {
                 let runs = [&self.training, &self.holdout].into_iter();
                 let most = runs.map(|run| samples_at_rest(run, signal(run))).max();
-                format!(
-                    "its noise is not known, because it has {} samples in the leading standstill and {FEWEST_SAMPLES} are needed",
-                    most.unwrap_or(0)
-                )
+                Unjudged::FewAtRest { samples: most.unwrap_or(0), needed: FEWEST_SAMPLES }
             }
-            FloorSource::Repeat => format!(
-                "its noise is not known, because the repeated runs have fewer than {FEWEST_DIFFERENCES} samples of it at the \
-                 same instants"
-            ),
-            FloorSource::None => "the fitted baseline leaves nothing of it".to_owned(),
+            FloorSource::Repeat => Unjudged::FewRepeated { needed: FEWEST_DIFFERENCES },
+            FloorSource::None => Unjudged::NothingLeft,
         })
     }
 
@@ -393,12 +366,11 @@ const AT_REST_SHARE: usize = 10;
 struct Cut {
     /// The run from the same beginning, of which only what comes behind the searched part counts.
     behind: Option<Scenario>,
-    /// Which part of it is searched, in words.
-    searched: String,
+    searched: SearchedPart,
 }
 
 /// Cuts a run to so many samples from shortly before it moves on; none where it is no longer than that.
-fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
+fn shorten(run: &mut Scenario, most: usize, role: LongRun) -> Option<Cut> {
     let samples = run.samples();
     if samples <= most {
         return None;
@@ -411,18 +383,15 @@ fn shorten(run: &mut Scenario, most: usize, role: &str) -> Option<Cut> {
         behind.scored = end - first..behind.samples();
         behind
     });
-    let from_s = run.sample_time_s[first] - run.sample_time_s[0];
-    let origin = if first > 0 {
-        format!(", and what is said to happen at a time happens {from_s:.2} s later in it")
-    } else {
-        String::new()
+    let since_begin = |sample: usize| run.sample_time_s[sample] - run.sample_time_s[0];
+    let searched = SearchedPart {
+        run: role,
+        from_s: since_begin(first),
+        to_s: since_begin(end - 1),
+        whole_s: since_begin(samples - 1),
+        rows: end - first,
+        of_rows: samples,
     };
-    let searched = format!(
-        "only {from_s:.0} to {:.0} s of the {:.0} s of {role} were searched: {} of {samples} rows{origin}",
-        run.sample_time_s[end - 1] - run.sample_time_s[0],
-        run.sample_time_s[samples - 1] - run.sample_time_s[0],
-        end - first,
-    );
     *run = run.stretch(first..end);
     Some(Cut { behind, searched })
 }
@@ -543,6 +512,23 @@ mod tests {
         (model.clone(), record(&model, events, 1e-3, seconds, 5))
     }
 
+    fn holds_out(evidence: &Evidence, share: f64) -> bool {
+        (evidence.held_out_share() - share).abs() < 0.005
+    }
+
+    /// Seconds and rows of the parts that are searched, and whether the rest confirms.
+    fn searched(limit: Option<&Limit>) -> (Vec<[usize; 5]>, bool) {
+        let Some(Limit::PartSearched { parts, rest_confirms }) = limit else {
+            return (Vec::new(), false);
+        };
+        let figures = parts.iter().map(|part| {
+            let [from_s, to_s, whole_s] =
+                [part.from_s, part.to_s, part.whole_s].map(|time_s| whole(time_s.round()));
+            [from_s, to_s, whole_s, part.rows, part.of_rows]
+        });
+        (figures.collect(), *rest_confirms)
+    }
+
     #[test]
     fn what_is_held_out_moves_where_any_part_of_the_run_does() {
         let model = nameplate();
@@ -551,25 +537,20 @@ mod tests {
         };
         // Steps throughout; steps in the first half only; one step at the beginning.
         let all = of(&[(0.0, 0.0), (1.0, 40.0), (4.0, 80.0), (7.0, 20.0)]);
-        assert!(all.holdout_moves() && all.held_out_part() == "last 40 %");
+        assert!(all.holdout_moves() && holds_out(&all, 0.4));
         let early = of(&[(0.0, 0.0), (1.0, 40.0), (3.5, 80.0), (4.5, 20.0)]);
-        assert!(
-            early.holdout_moves() && early.held_out_part() == "last 60 %",
-            "{}",
-            early.held_out_part()
-        );
+        assert!(early.holdout_moves() && holds_out(&early, 0.6), "{}", early.held_out_share());
         let step = of(&[(0.0, 0.0), (1.0, 40.0)]);
-        assert!(!step.holdout_moves() && step.held_out_part() == "last 40 %");
-        assert!(step.unjudged().iter().any(|words| words.starts_with(STILL)));
+        assert!(!step.holdout_moves() && holds_out(&step, 0.4));
+        assert!(step.unjudged().contains(&Limit::HoldoutStill));
     }
 
     #[test]
     fn of_a_long_run_the_beginning_is_searched_and_the_rest_confirms() {
         let (model, long) = run(30.0, 150.0);
-        let (evidence, words) = Evidence::new(long.clone(), None, None).shortened();
-        let words = words.unwrap();
-        assert!(words.contains("only 20 to 120 s of the 150 s"), "{words}");
-        assert!(words.contains("happens 20.00 s later"), "{words}");
+        let (evidence, limit) = Evidence::new(long.clone(), None, None).shortened();
+        let whole = searched(limit.as_ref());
+        assert_eq!(whole, (vec![[20, 120, 150, 100_000, 150_000]], true), "{limit:?}");
         assert_eq!(evidence.training.samples(), 60_000);
         assert_eq!(evidence.holdout.scored, 60_000..100_000);
         let confirm = evidence.confirm.as_ref().unwrap();
@@ -589,9 +570,9 @@ mod tests {
         evidence.repeat = Some(long.clone());
         let evidence = evidence.with_run(later);
         assert!(evidence.training.samples() > MOST_SAMPLES);
-        let (evidence, words) = evidence.shortened();
-        let words = words.unwrap();
-        assert!(words.contains("50000 of 100000") && words.contains("30000 of 40000"), "{words}");
+        let (evidence, limit) = evidence.shortened();
+        let rows = searched(limit.as_ref()).0.into_iter().map(|part| (part[3], part[4]));
+        assert_eq!(rows.collect::<Vec<_>>(), [(50_000, 100_000), (30_000, 40_000)], "{limit:?}");
         assert_eq!(evidence.first_run().samples(), 30_000);
         assert_eq!(evidence.holdout.scored, 30_000..50_000);
         assert_eq!(evidence.training.samples(), 60_000);
@@ -630,8 +611,8 @@ mod tests {
     #[test]
     fn what_a_search_can_hold_stays_as_it_is() {
         let (_, short) = run(0.5, 20.0);
-        let (evidence, words) = Evidence::new(short.clone(), Some(short), None).shortened();
-        assert!(words.is_none() && evidence.confirm.is_none());
+        let (evidence, limit) = Evidence::new(short.clone(), Some(short), None).shortened();
+        assert!(limit.is_none() && evidence.confirm.is_none());
         assert_eq!(evidence.training.scored, evidence.holdout.scored);
     }
 
@@ -640,8 +621,9 @@ mod tests {
         let (_, long) = run(0.5, 70.0);
         let (_, short) = run(0.5, 20.0);
         let evidence = Evidence::new(long, Some(short.clone()), Some(short.clone()));
-        let (evidence, words) = evidence.shortened();
-        assert!(words.unwrap().contains("60000 of"));
+        let (evidence, limit) = evidence.shortened();
+        let (parts, rest_confirms) = searched(limit.as_ref());
+        assert!(parts[0][3] == 60_000 && !rest_confirms, "{limit:?}");
         assert_eq!(evidence.training.samples(), 60_000);
         assert_eq!(evidence.holdout.samples(), short.samples());
         assert_eq!(evidence.confirm.unwrap().name, short.name);

@@ -65,7 +65,6 @@ pub struct MotorMatch {
     /// Difference over the first run's value.
     pub back_emf_difference: f64,
     pub resistance_difference: f64,
-    pub sentence: String,
 }
 
 /// Fits `R`, `L` and `Ke` to a run from the values of `start`; `None` where the run has no voltage, current or speed, or
@@ -188,31 +187,12 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
     } else {
         Kinship::Same
     };
-    let figures = format!(
-        "back-EMF constant {:.4} and {:.4} V.s/rad ({:+.1} %), resistance {:.3} and {:.3} ohm ({:+.0} %)",
-        first.back_emf_v_s_per_rad.value,
-        second.back_emf_v_s_per_rad.value,
-        100.0 * back_emf,
-        first.resistance_ohm.value,
-        second.resistance_ohm.value,
-        100.0 * resistance
-    );
-    let sentence = match kinship {
-        Kinship::Same => format!("no sign that the two runs are of different motors: {figures}"),
-        Kinship::Doubtful => format!(
-            "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer would do this too"
-        ),
-        Kinship::Other => format!(
-            "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
-        ),
-    };
     MotorMatch {
         first,
         second,
         kinship,
         back_emf_difference: back_emf,
         resistance_difference: resistance,
-        sentence,
     }
 }
 

@@ -4,6 +4,7 @@
 use super::evidence::{Evidence, not_repeated};
 use super::joint::Noise;
 use super::joint::free_run::unobserved_in;
+use super::limits::RepeatUnknown;
 use super::location::{FailureLocation, locate_difference};
 use super::score::in_noise;
 use drivebench_identify::noise::FloorSource;
@@ -87,7 +88,7 @@ pub(super) struct Repeatability {
     /// What the difference follows, where it is more than noise; the most first.
     pub(super) follows: Vec<FailureLocation>,
     /// Why nothing is known of it, where a run was repeated.
-    pub(super) why_not: Option<String>,
+    pub(super) why_not: Option<RepeatUnknown>,
 }
 
 impl Repeatability {
@@ -104,11 +105,11 @@ impl Repeatability {
             in_noise(unobserved.map(Some), &evidence.noise)
         });
         let [Some(first), Some(second)] = unobserved else {
-            return Self::not_known("the model cannot be followed on both runs");
+            return Self::not_known(RepeatUnknown::NotFollowed);
         };
         let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
         if floor.highest() > REPEATS_RATIO {
-            return Self::not_known("too many rows were lost");
+            return Self::not_known(RepeatUnknown::RowsLost);
         }
         let found = || -> Result<Self, FitError> {
             let floor = in_noise(not_repeated(model, runs, &evidence.noise)?, &evidence.noise);
@@ -118,12 +119,11 @@ impl Repeatability {
             }
             Ok(found)
         };
-        found().unwrap_or_else(|error| Self::not_known(&error.to_string()))
+        found().unwrap_or_else(|error| Self::not_known(RepeatUnknown::Failed(error.to_string())))
     }
 
-    fn not_known(reason: &str) -> Self {
-        let why_not = format!("whether this machine repeats is not known: {reason}");
-        Self { why_not: Some(why_not), ..Self::default() }
+    fn not_known(why: RepeatUnknown) -> Self {
+        Self { why_not: Some(why), ..Self::default() }
     }
 
     /// Whether the difference is little more than the sensors' noise; none where it is not known.

@@ -9,24 +9,24 @@ use std::borrow::Cow;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::compare::{Comparison, ProcessingError, compare};
+use super::compare::{Comparison, compare};
 use super::evidence::Evidence;
 use super::joint::answer::{Inference, Led, eligible, infer, led, refined, with_deviations};
+use super::limits::{Limit, SetAside};
 use super::location::ErrorOf;
 use super::mechanical::{self, Balance, with_events_of};
 use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
-use super::trivial;
-use super::vetoes::{self, Veto};
+use super::trivial::{self, TrivialPrediction};
+use super::vetoes::{self, Veto, VetoReason};
 use super::work::iterations_of;
-use drivebench_identify::balance::Method;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_identify::scheme::Identified;
+use drivebench_model::findings;
 use drivebench_model::numerics::levenberg_marquardt::Options;
 use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
-use drivebench_model::text::number::probability;
 
 /// Standard deviations below which a size may as well be zero: in a free run, before which the names have been weighed
 /// already, and in the balance of torques, which decides on them.
@@ -48,10 +48,10 @@ pub(super) struct Bench {
     balance: Option<Balance>,
     /// The model as it was given, before it was refitted.
     given: Model,
-    /// Which runs are set aside, and why.
-    aside: Option<String>,
+    /// Which runs are set aside.
+    aside: Option<SetAside>,
     /// Which part of long runs is searched.
-    searched: Option<String>,
+    searched: Option<Limit>,
 }
 
 impl Bench {
@@ -129,8 +129,8 @@ impl Bench {
             let Some(place) = order.iter().rposition(|id| told(id) != Some(true)) else {
                 break;
             };
-            let reason = "the balance of torques does not tell its size from zero";
-            inference.veto(Veto::new(order.remove(place), reason));
+            let reason = VetoReason::SizeMayBeZeroInBalance;
+            inference.veto(Veto { effect: order.remove(place), reason });
         }
         inference.confusable.retain(|pair| order.contains(&pair[0]));
         inference.named = order;
@@ -234,13 +234,13 @@ impl Bench {
     }
 
     /// What these runs cannot answer, and what errors are of.
-    pub(super) fn limits(&self) -> Vec<String> {
-        let mut limits: Vec<String> = self.aside.iter().cloned().collect();
+    pub(super) fn limits(&self) -> Vec<Limit> {
+        let aside = self.aside.iter().cloned();
+        let mut limits: Vec<Limit> = aside.map(Limit::RunsSetAside).collect();
         limits.extend(self.evidence.unjudged());
         limits.extend(self.searched.clone());
-        limits.extend(self.balance.as_ref().map(|balance| {
-            let processing = &balance.sides.training.sentence;
-            format!("errors are those of the balance of torques ({processing})")
+        limits.extend(self.balance.as_ref().map(|balance| Limit::TorqueBalance {
+            derivation: balance.sides.training.derivation.clone(),
         }));
         limits
     }
@@ -383,15 +383,30 @@ pub struct Rung {
     pub holdout_rmse: f64,
 }
 
-/// What adding or removing an effect did, as `add --json` prints it.
+/// What adding or removing an effect did; `add --json` prints it with its sentence.
 #[derive(Clone, Debug, Serialize)]
 pub struct AddResult {
     pub effect: &'static str,
     pub accepted: bool,
-    /// Taken although the runs do not ask for it, because a person said so.
+    /// Taken although the runs do not ask for it, because a person wanted it.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub forced: bool,
-    pub reason: String,
+    #[serde(rename = "code")]
+    pub finding: ChangeFinding,
+    /// Name of the effect, which need not be in the catalogue.
+    #[serde(skip)]
+    pub name: &'static str,
+    /// That the effect is there, weighed jointly with all others.
+    #[serde(skip)]
+    pub probability: f64,
+    /// Effects of the model that are not needed beside the others.
+    #[serde(skip)]
+    pub superfluous: Vec<&'static str>,
+    /// What kept it from being added whatever its probability is.
+    #[serde(skip)]
+    pub refused: Option<Refusal>,
+    #[serde(skip)]
+    pub aside: Option<SetAside>,
     pub before: Comparison,
     pub after: Comparison,
     #[serde(serialize_with = "by_key")]
@@ -403,17 +418,39 @@ pub struct AddResult {
     pub fit: Fitted,
 }
 
+findings! {
+    /// What the runs show of an effect that is added or removed.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    pub enum ChangeFinding {
+        NotJudged { why: &'static str } = "cannot_be_judged",
+        /// It is there; the effects that these runs do not tell it from.
+        There { rivals: Vec<&'static str> } = "is_there",
+        /// It is not there beside what these runs ask for; whether they would show it.
+        NotThere { beside: Vec<&'static str>, would_show: bool } = "is_not_there",
+        Needed = "is_needed",
+        Superfluous = "is_superfluous",
+        /// These runs do not ask for the effect that is removed, and would not show it.
+        NotShown = "would_not_show",
+    }
+}
+
+/// What keeps an effect from being added.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Refusal {
+    Veto(VetoReason),
+    Trivial(TrivialPrediction),
+}
+
 impl AddResult {
     /// Whether the model that was refused is one with the effect.
     pub fn can_be_forced(&self) -> bool {
         self.fit.model.has(self.effect)
     }
 
-    /// Takes what was refused, and says so; what is not eligible in these runs is not in the model, and stays refused.
+    /// Takes what was refused; what is not eligible in these runs is not in the model, and stays refused.
     pub fn force(&mut self) {
         if !self.accepted && self.can_be_forced() {
             (self.accepted, self.forced) = (true, true);
-            self.reason = format!("forced, although these runs do not ask for it: {}", self.reason);
         }
     }
 }
@@ -469,10 +506,10 @@ fn change(
     // Beside others that the runs show too, one alone need not lower the error.
     let is_alone = adding && inference.named == [id];
     let veto = is_alone.then(|| vetoes::first(bench, inference, &[id], &rungs));
-    let refused = veto.flatten().map(|veto| veto.reason).or_else(|| {
+    let refused = veto.flatten().map(|veto| Refusal::Veto(veto.reason)).or_else(|| {
         let as_good =
             |last: &Standing| trivial::as_good(&last.score, &bench.evidence, bench.torques());
-        rungs.last().filter(|_| is_alone).and_then(as_good)
+        rungs.last().filter(|_| is_alone).and_then(as_good).map(Refusal::Trivial)
     });
     let (after, before) = (rungs.remove(1), rungs.remove(0));
     let confirm = match &bench.evidence.confirm {
@@ -486,15 +523,6 @@ fn change(
         None => None,
     };
     let sides = [bench.compared(&before.fit)?, bench.compared(&after.fit)?];
-    let times = bench.evidence.noise.source.times();
-    let fall = fall([&before.score, &after.score], times) + &both_processings(&sides);
-    let mut reason = reason(effect, inference, &fall, adding);
-    if let Some(refused) = &refused {
-        reason = format!("not added: {refused} ({reason})");
-    }
-    if let Some(words) = &bench.aside {
-        reason = format!("{reason}; {words}");
-    }
     let [compared_before, compared_after] = sides;
     let fit = bench.as_believed(&after.fit);
     let believed = if adding { fit.clone() } else { bench.as_believed(&before.fit) };
@@ -502,7 +530,12 @@ fn change(
         effect: id,
         accepted: inference.names(id) == adding && refused.is_none(),
         forced: false,
-        reason,
+        finding: finding(id, inference, adding),
+        name: effect.card().name,
+        probability: inference.of(id).map_or(0.0, |found| found.probability),
+        superfluous: inference.superfluous.clone(),
+        refused,
+        aside: bench.aside.clone(),
         before: compared_before,
         after: compared_after,
         parameters: parameters_of(id, &believed.parameters),
@@ -517,12 +550,12 @@ fn change(
 /// neighbouring samples err by together, and nothing of what the form of an effect or the stamps may be wrong by: that of a
 /// drop of brushes is then ten times too small. As it was for a model without effects, and for runs without a voltage.
 #[must_use]
-pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
+pub fn known_along(run: &Scenario, mut found: Identified) -> (Identified, Option<AlongFinding>) {
     if run.input != Input::Voltage || found.model.effects.is_empty() {
-        return found;
+        return (found, None);
     }
-    match along(run, &found.model) {
-        Ok((_, Led::Neither)) => found.with_note(not_followed("")),
+    let finding = match along(run, &found.model) {
+        Ok((_, Led::Neither)) => AlongFinding::NotFollowed,
         Ok((led, of)) => {
             // What was chosen from a grid was not fitted here.
             let fitted = led.parameters.into_iter();
@@ -533,27 +566,28 @@ pub fn known_along(run: &Scenario, mut found: Identified) -> Identified {
                 }
             }
             found.model = led.model;
-            found.with_note(match of {
-                Led::Values => {
-                    "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and \
-                     count what the forms of the effects and the stamps may be wrong by"
-                }
-                _ => {
-                    "the model has effects: the values are of its free run, which those of its prediction errors do not \
-                     foretell; ± counts how far the two lie apart, and what the forms of the effects and the stamps may be \
-                     wrong by"
-                }
-            })
+            if matches!(of, Led::Values) {
+                AlongFinding::PredictionErrors
+            } else {
+                AlongFinding::FreeRun
+            }
         }
-        Err(error) => found.with_note(not_followed(&format!(" ({error})"))),
-    }
+        Err(error) => AlongFinding::Failed(error.to_string()),
+    };
+    (found, Some(finding))
 }
 
-fn not_followed(why: &str) -> String {
-    format!(
-        "the model cannot be followed along the run{why}: ± counts noise alone, and nothing of what the forms of its effects \
-         may be wrong by"
-    )
+findings! {
+    /// What the values and deviations of a model with effects are from.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    pub enum AlongFinding {
+        PredictionErrors = "values_from_prediction_errors",
+        /// The values of the prediction errors do not foretell the run.
+        FreeRun = "values_from_free_run",
+        NotFollowed = "model_not_followed",
+        /// The same, with the message of a fit that failed.
+        Failed(String) = "fit_along_run_failed",
+    }
 }
 
 /// The fit with what its prediction errors say, and of what they do.
@@ -570,75 +604,25 @@ fn along(run: &Scenario, model: &Model) -> Result<(Fitted, Led), FitError> {
     Ok(led(fit, run, noise, true))
 }
 
-/// What each processing of a balance of torques says of the change, in words; nothing of a free run.
-fn both_processings(sides: &[Comparison; 2]) -> String {
-    let [before, after] = [0, 1].map(|side: usize| {
-        let torque = sides[side].signals.torque_n_m.iter();
-        torque.flat_map(|torque| &torque.processing)
-    });
-    let words = before.zip(after).map(|(before, after)| {
-        let from = before.holdout_relative_error_percent;
-        let to = after.holdout_relative_error_percent;
-        let whole = |side: &ProcessingError| side.whole_run_relative_error_percent;
-        let whole = whole(before).zip(whole(after));
-        let whole = whole.map_or_else(String::new, |(from, to)| {
-            format!(", {from:.2} -> {to:.2} % over the whole run")
-        });
-        let method = match before.method {
-            Method::WeakForm => "weak form",
-            Method::InverseDynamics => {
-                "reference processing: inverse dynamics, zero-phase low pass"
-            }
-        };
-        format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
-    });
-    words.collect()
-}
-
-/// How the held-out error changes, in words.
-fn fall([before, after]: [&Score; 2], times: &str) -> String {
-    let (from, to) = (before.nrms, after.nrms);
-    let share = 100.0 * (1.0 - to / from);
-    if !share.is_finite() {
-        return "the held-out error is not known".to_owned();
-    }
-    let word = if share >= 0.0 { "falls" } else { "rises" };
-    let by = share.abs();
-    format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
-}
-
-/// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
-fn reason(effect: &dyn Effect, inference: &Inference, fall: &str, adding: bool) -> String {
-    let (id, name) = (effect.card().id, effect.card().name);
+/// What the runs show of an effect that is added, or else removed.
+fn finding(id: &'static str, inference: &Inference, adding: bool) -> ChangeFinding {
     let found = inference.of(id);
-    let likely = probability(found.map_or(0.0, |found| found.probability));
-    let is_there = inference.names(id);
-    let is_excited = found.is_some_and(|found| found.excited);
-    if let Some(why_not) = found.and_then(|found| found.why_not) {
-        return format!("{name} cannot be judged from this run: {why_not}");
+    if let Some(why) = found.and_then(|found| found.why_not) {
+        return ChangeFinding::NotJudged { why };
     }
-    if !adding {
-        let word = match (is_there, is_excited) {
-            (true, _) => "is needed",
-            (false, true) => "is superfluous",
-            (false, false) => "would not show in these runs, which do not ask for it",
-        };
-        return format!("{name} {word}: it is there with {likely}, and without it {fall}");
+    let would_show = found.is_some_and(|found| found.excited);
+    match (inference.names(id), adding) {
+        (true, true) => {
+            let pairs = inference.confusable.iter().filter(|pair| pair.contains(&id));
+            let rivals = pairs.map(|pair| if pair[0] == id { pair[1] } else { pair[0] });
+            ChangeFinding::There { rivals: rivals.collect() }
+        }
+        (false, true) => {
+            let others = inference.named.iter().copied().filter(|named| *named != id);
+            ChangeFinding::NotThere { beside: others.collect(), would_show }
+        }
+        (true, false) => ChangeFinding::Needed,
+        (false, false) if would_show => ChangeFinding::Superfluous,
+        (false, false) => ChangeFinding::NotShown,
     }
-    // The list behind these words, if there is anything in it.
-    let listed = |before: &str, ids: Vec<&str>, between: &str, behind: &str| {
-        let words = || format!("{before}{}{behind}", ids.join(between));
-        if ids.is_empty() { String::new() } else { words() }
-    };
-    if is_there {
-        let pairs = inference.confusable.iter().filter(|pair| pair.contains(&id));
-        let twins = pairs.map(|pair| if pair[0] == id { pair[1] } else { pair[0] });
-        let twins = listed(", which these runs cannot tell from ", twins.collect(), " and ", "");
-        let superfluous = inference.superfluous_in_words();
-        return format!("{name} is there with {likely}{twins}; with it {fall}{superfluous}");
-    }
-    let rivals = inference.named.iter().copied().filter(|named| *named != id);
-    let beside = listed(" beside what these runs ask for (", rivals.collect(), ", ", ")");
-    let unseen = if is_excited { "" } else { "; these runs would not show it" };
-    format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
 }

@@ -25,6 +25,7 @@ mod fingerprint;
 mod floor;
 mod joint;
 mod ladder;
+mod limits;
 mod location;
 mod mechanical;
 pub mod next_experiment;
@@ -32,33 +33,45 @@ mod progress;
 mod reached;
 mod residual;
 mod score;
-mod sentence;
 mod traces;
 mod trivial;
 mod versus;
 mod vetoes;
 mod work;
 
-pub use candidates::{Candidate, Status};
-pub use compare::{Comparison, SignalComparison, Signals, compare};
-pub use diagnose::{Answer, Diagnosis, DiagnosisVerdict, diagnose, diagnose_with};
-pub use evidence::{Evidence, HoldoutFrom, shared_samples};
-pub use fingerprint::{Fingerprint, Kinship, Value, fingerprint, matches};
-pub use joint::answer::Unknown;
-pub use joint::expected_information::InformationBasis;
-pub use ladder::{AddResult, Rung, add, fitted_baseline, known_along, remove};
-pub use location::{
-    AxisMap, CurvePoint, EffectCurve, EquationBalance, ErrorMap, ErrorOf, FailureLocation, Leaning,
-    Located, MapCell, MapDigits, MapError, MeasuredMap, Off, OwnChange, axis_map, effect_curve,
-    error_curve, lean, locate, torque_map,
+pub use candidates::{Candidate, CandidateFinding, Status};
+pub use compare::{Comparison, ProcessingError, SignalComparison, Signals, Where, compare};
+pub use diagnose::{
+    Answer, CONFIRMED_SIGMAS, Confirmation, ConfirmationFinding, Diagnosis, DiagnosisVerdict,
+    diagnose, diagnose_with,
 };
-pub use next_experiment::{ExperimentLimits, NextExperiment, Recipe, next_experiment, recommend};
+pub use evidence::{Evidence, HoldoutFrom, shared_samples};
+pub use fingerprint::{Fingerprint, Kinship, MotorMatch, Value, fingerprint, matches};
+pub use joint::answer::{Onset, RunOf, Unknown, UnknownKind};
+pub use joint::expected_information::InformationBasis;
+pub use ladder::{
+    AddResult, AlongFinding, ChangeFinding, Refusal, Rung, add, fitted_baseline, known_along,
+    remove,
+};
+pub use limits::{Limit, LongRun, RepeatUnknown, SearchedPart, SetAside, Unjudged, WhyOpen};
+pub use location::{
+    AxisFinding, AxisMap, AxisReason, CurvePoint, EffectCurve, EquationBalance, EquationState,
+    ErrorForm, ErrorMap, ErrorOf, FailureLocation, Leaning, Located, MapCell, MapDigits, MapError,
+    MeasuredMap, Off, OwnChange, Undecided, axis_map, effect_curve, error_curve, lean, locate,
+    torque_map,
+};
+pub use next_experiment::{
+    ExperimentLimits, FasterRun, Hidden, HiddenReason, NextExperiment, Recipe, Recommendation,
+    next_experiment, recommend,
+};
 pub use progress::{Event, Progress, Stage, silent};
 pub use reached::{Peak, Reached};
-pub use residual::{Light, ResidualLights};
+pub use residual::{Light, ResidualLights, SignalLights};
 pub use score::{Fitted, Score, SignalScore};
 pub use traces::{Part, Quantity, RecordedChannels, RunTraces, SignalTrace, Traces, WorstPlace};
-pub use versus::{Better, SignalVersus, Versus, versus};
+pub use trivial::TrivialPrediction;
+pub use versus::{Better, SignalVersus, Versus, VersusFinding, versus};
+pub use vetoes::{VetoReason, WhyUnexplained};
 
 #[cfg(test)]
 mod event_tests;

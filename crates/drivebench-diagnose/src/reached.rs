@@ -12,7 +12,6 @@ use drivebench_model::plant::{
     State, Trajectory,
 };
 use drivebench_model::sample::TWO_SIDED_95;
-use drivebench_model::text::number::{significant, with_std};
 
 /// Share of the largest of its kind below which a size is the simulation's rounding: a filter of the current does not
 /// move the shaft.
@@ -28,17 +27,6 @@ pub struct Peak {
     pub unit: &'static str,
     /// Share of the largest torque, voltage, speed or current of the run.
     pub percent_of_largest: Option<f64>,
-}
-
-impl Peak {
-    /// As a sentence, with so many standard deviations on either side.
-    pub fn text(&self, deviations: f64) -> String {
-        let size = with_std(self.value, self.std.map(|std| deviations * std));
-        let share = self.percent_of_largest.map_or_else(String::new, |percent| {
-            format!(", {} % of the largest", significant(percent, 2))
-        });
-        format!("up to {size} {} in this run{share}", self.unit)
-    }
 }
 
 /// What an effect reached on the training run: a torque, a voltage, both, or only what it changes in the signals.

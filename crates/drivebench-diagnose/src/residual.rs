@@ -11,7 +11,6 @@ use super::score::varies;
 use drivebench_model::numerics::statistics::{
     self, BAND_99, COLOURED_BY_CHANCE, OUTSIDE_BY_CHANCE,
 };
-use drivebench_model::text::number::share;
 
 /// Lags that are looked at.
 const LAGS: usize = statistics::WHITENESS_LAGS;
@@ -54,29 +53,9 @@ impl SignalLights {
         self.rho_ee.passes && self.ljung_box <= self.ljung_box_limit
     }
 
-    /// Each light with what the residual is held against.
-    pub const fn named(&self) -> [(&'static str, Light); 5] {
-        [
-            ("its own past", self.rho_ee),
-            ("the input", self.rho_ue),
-            ("the input squared", self.rho_u2e),
-            ("the input squared, itself squared", self.rho_u2e2),
-            ("itself times the input", self.rho_e_eu),
-        ]
-    }
-
-    /// What it goes with, each in multiples of what chance gives; none where it goes with nothing.
-    fn goes_with(&self) -> Option<String> {
-        // The last of them is no alarm by itself.
-        let named = &self.named()[..4];
-        let red = named.iter().filter(|(_, light)| !light.passes);
-        let words = red.map(|(name, light)| format!("{name} ({:.1})", light.largest_over_band));
-        let mut words: Vec<String> = words.collect();
-        if self.rho_ee.passes && !self.is_white() {
-            let times = self.ljung_box / self.ljung_box_limit;
-            words.push(format!("its own past, all lags together ({times:.1})"));
-        }
-        (!words.is_empty()).then(|| words.join(", "))
+    /// The lights in the order of their fields.
+    pub const fn each(&self) -> [Light; 5] {
+        [self.rho_ee, self.rho_ue, self.rho_u2e, self.rho_u2e2, self.rho_e_eu]
     }
 }
 
@@ -115,39 +94,6 @@ impl ResidualLights {
     /// Whether nothing but noise is left, as far as was asked.
     pub fn is_noise(&self) -> bool {
         self.white && self.independent_of_input != Some(false)
-    }
-
-    /// What is left, in words.
-    pub fn sentence(&self) -> String {
-        if !self.enough_samples {
-            return "too few samples to say whether only noise is left".to_owned();
-        }
-        let input = match self.independent_of_input {
-            Some(true) => "independent of the input",
-            Some(false) => "it goes with the input",
-            None => {
-                "the input never changes, so that its correlation with the residual is undefined"
-            }
-        };
-        if self.white {
-            return match self.independent_of_input {
-                Some(true) => format!("only noise is left: it is white, and {input}"),
-                Some(false) => format!("more than noise is left: it is white, but {input}"),
-                None => format!("white, as noise is; {input}"),
-            };
-        }
-        let outside = share(self.autocorrelation_outside_99_percent);
-        format!("more than noise is left: not white ({outside} of lags outside), {input}")
-    }
-
-    /// What each signal's residual goes with, in words; nothing where only noise is left.
-    pub fn details(&self) -> Vec<String> {
-        let each = self.named().filter(|_| self.enough_samples);
-        let told = each.filter_map(|(name, lights)| {
-            let with = lights.goes_with()?;
-            Some(format!("{name} error goes with {with}; in brackets: times what chance gives"))
-        });
-        told.collect()
     }
 
     /// Each signal with its name and lights, those that there are.
@@ -343,21 +289,6 @@ mod tests {
         assert!(!found.white && found.independent_of_input == Some(true), "{found:?}");
         let one = found.current_a.unwrap();
         assert!(!one.rho_ee.passes && one.ljung_box > one.ljung_box_limit);
-    }
-
-    #[test]
-    fn what_is_left_is_said_in_words() {
-        let (e, u) = (noise(21, 5000), noise(22, 5000));
-        let clean = lights(&e, &u);
-        assert!(clean.is_noise() && clean.details().is_empty());
-        let sentence = clean.sentence();
-        assert!(sentence.starts_with("only noise is left"), "{sentence}");
-        let echoed = spoilt(&e, |k| if k >= 1 { 0.6 * e[k - 1] } else { 0.0 });
-        let found = lights(&echoed, &u);
-        let sentence = found.sentence();
-        assert!(!found.is_noise() && sentence.contains("not white ("), "{sentence}");
-        let details = found.details();
-        assert!(details[0].starts_with("current error goes with its own past ("), "{details:?}");
     }
 
     #[test]

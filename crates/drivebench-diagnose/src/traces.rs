@@ -11,7 +11,6 @@ use std::borrow::Cow;
 use std::sync::Arc;
 
 use super::evidence::{Evidence, HoldoutFrom};
-use super::location::name_of;
 use super::mechanical::{self, Balance, Sides};
 use drivebench_identify::balance::TorqueRows;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
@@ -32,7 +31,7 @@ impl Quantity {
     pub const fn name(self) -> &'static str {
         match self {
             Self::Channel(channel) => channel.name(),
-            Self::Estimate(key) => name_of(key),
+            Self::Estimate(key) => key.name(),
         }
     }
 

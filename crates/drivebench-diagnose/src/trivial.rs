@@ -7,6 +7,7 @@
 use super::evidence::Evidence;
 use super::score::Score;
 use drivebench_identify::first_order::FirstOrder;
+use drivebench_model::findings;
 use drivebench_model::numerics::statistics::{finite, mean, variance};
 use drivebench_model::plant::Scenario;
 
@@ -21,13 +22,23 @@ const CONSTANT_RATIO: f64 = 0.9;
 /// Readings below which nothing is compared.
 const FEWEST: usize = 8;
 
-/// What predicts a signal of the held-out run as well as the fitted model does, in a sentence; `None` where the model is better
+findings! {
+    /// A prediction that is as good as the fitted model, with the error of both in the unit of the signal.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum TrivialPrediction {
+        Mean { signal: &'static str, unit: &'static str, error: f64, own: f64 } = "mean_is_as_good",
+        LastValue { signal: &'static str, unit: &'static str, error: f64, own: f64 } = "last_value_is_as_good",
+        Lag { error: f64, own: f64, gain_rad_s_per_v: f64, time_constant_s: f64 } = "first_order_lag_is_as_good",
+    }
+}
+
+/// What predicts a signal of the held-out run as well as the fitted model does; `None` where the model is better
 /// than each. `score` is the model's on the hold-out; `torques` are those of the rows of a balance, fitted and held out.
 pub(super) fn as_good(
     score: &Score,
     evidence: &Evidence,
     torques: Option<[&[f64]; 2]>,
-) -> Option<String> {
+) -> Option<TrivialPrediction> {
     if let Some([fitted, held_out]) = torques {
         let own = score.torque?.rmse;
         return constant("torque", "N.m", own, fitted, held_out, 0.0);
@@ -52,40 +63,35 @@ pub(super) fn as_good(
 /// Whether the mean of the held-out part, the best constant that there is, or the last value of the fitted part predicts the
 /// held-out part as well.
 fn constant(
-    name: &str,
-    unit: &str,
+    signal: &'static str,
+    unit: &'static str,
     own: f64,
     fitted: &[f64],
     held_out: &[f64],
     noise: f64,
-) -> Option<String> {
+) -> Option<TrivialPrediction> {
     let (fitted, held_out) = (finite(fitted), finite(held_out));
     if held_out.len() < FEWEST || variance(&held_out).sqrt() < MOVES_RATIO * noise {
         return None;
     }
     let error = |value: f64| mean_square(held_out.iter().map(|held_out| held_out - value)).sqrt();
-    let constants =
-        [("mean of it", mean(&held_out)), ("last value of the fitted part", *fitted.last()?)];
-    let as_good = constants
-        .iter()
-        .find(|(_, value)| own.is_nan() || own >= CONSTANT_RATIO * error(*value))?;
-    Some(format!(
-        "the fitted model leaves {own:.3} {unit} of the {name} of the hold-out, the {} {:.3} {unit}",
-        as_good.0,
-        error(as_good.1)
-    ))
+    let is_as_good = |error: f64| own.is_nan() || own >= CONSTANT_RATIO * error;
+    let [mean, last] = [mean(&held_out), *fitted.last()?].map(error);
+    if is_as_good(mean) {
+        return Some(TrivialPrediction::Mean { signal, unit, error: mean, own });
+    }
+    is_as_good(last).then_some(TrivialPrediction::LastValue { signal, unit, error: last, own })
 }
 
 /// Whether a first-order lag of the voltage, fitted by least squares, predicts the held-out speed clearly better.
-fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<String> {
+fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<TrivialPrediction> {
     let lag = FirstOrder::plain(fitted)?;
     let error = lag.left_of(held_out);
-    (own > LAG_RATIO * error).then(|| {
-        format!(
-            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of {:.3} rad/s/V and \
-             {:.3} s leaves {error:.3} rad/s",
-            lag.gain_rad_s_per_v, lag.time_constant_s
-        )
+    (own > LAG_RATIO * error).then_some(TrivialPrediction::Lag {
+        error,
+        own,
+        gain_rad_s_per_v: lag.gain_rad_s_per_v,
+        time_constant_s: lag.time_constant_s,
     })
 }
 
@@ -101,7 +107,7 @@ mod tests {
     use crate::kit::{evidence, nameplate};
     use drivebench_model::plant::{Model, MotorKey};
 
-    fn found(model: &Model) -> Option<String> {
+    fn found(model: &Model) -> Option<TrivialPrediction> {
         let evidence = evidence(&nameplate(), 1);
         let score = Score::of(model, &evidence.holdout, &evidence.noise).unwrap();
         as_good(&score, &evidence, None)
@@ -116,13 +122,14 @@ mod tests {
     fn a_model_that_follows_nothing_is_as_good_as_a_constant_or_a_lag() {
         let mut heavy = nameplate();
         heavy.motor.set(MotorKey::Inertia, 10.0);
-        let words = found(&heavy).unwrap();
-        assert!(words.contains("of the speed"), "{words}");
+        let of = found(&heavy).unwrap();
+        assert!(matches!(of, TrivialPrediction::Mean { signal: "speed", .. }), "{of:?}");
         let mut light = nameplate();
         let load = light.motor.get(MotorKey::LoadTorque).unwrap();
         light.motor.set(MotorKey::LoadTorque, 6.0 * load);
-        let words = found(&light).unwrap();
-        assert!(words.contains("lag") || words.contains("mean"), "{words}");
+        let of = found(&light).unwrap();
+        let is_last = matches!(of, TrivialPrediction::LastValue { .. });
+        assert!(!is_last, "{of:?}");
     }
 
     #[test]

@@ -12,6 +12,7 @@ use super::mechanical::Balance;
 use super::score::Score;
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::output_error::FitError;
+use drivebench_model::findings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, mean, variance};
 use drivebench_model::plant::{Input, Model};
@@ -55,7 +56,20 @@ pub struct Versus {
     pub blocks: usize,
     /// Standard errors beyond which a difference counts.
     pub limit: f64,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub finding: VersusFinding,
+}
+
+findings! {
+    /// What the comparison of two models comes to.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum VersusFinding {
+        FirstBetter = "first_is_better",
+        SecondBetter = "second_is_better",
+        NotToldApart = "not_told_apart",
+        Same = "both_are_the_same",
+        TooShort = "holdout_too_short",
+    }
 }
 
 /// Compares two complete models as they are on the hold-out.
@@ -74,7 +88,7 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
     let by_blocks = ByBlocks::of([&scores[0], &scores[1]], levels);
     let better = by_blocks.better;
     let holdout_rmse = [scores[0].nrms, scores[1].nrms];
-    let mut found = Versus {
+    Ok(Versus {
         better,
         signals: signals(&scores),
         holdout_rmse,
@@ -83,10 +97,14 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
         difference_std: by_blocks.difference_std,
         blocks: by_blocks.blocks,
         limit: by_blocks.limit,
-        sentence: String::new(),
-    };
-    found.sentence = found.in_words();
-    Ok(found)
+        finding: match (by_blocks.difference, better) {
+            (None, _) => VersusFinding::TooShort,
+            (_, Better::First) => VersusFinding::FirstBetter,
+            (_, Better::Second) => VersusFinding::SecondBetter,
+            (Some(0.0), Better::NotToldApart) => VersusFinding::Same,
+            (_, Better::NotToldApart) => VersusFinding::NotToldApart,
+        },
+    })
 }
 
 /// What the blocks of a run say of two models.
@@ -122,38 +140,6 @@ impl ByBlocks {
             _ => Better::NotToldApart,
         };
         Self { better, difference, difference_std, blocks: blocks.len(), limit }
-    }
-}
-
-impl Versus {
-    /// With `A` and `B` for the models.
-    fn in_words(&self) -> String {
-        let [first, second] = self.holdout_rmse;
-        let times = self.noise_floor_from.times();
-        let errors = format!("A {first:.2}, B {second:.2} {times}");
-        let (Some(difference), Some(std)) = (self.difference, self.difference_std) else {
-            return format!("the hold-out is too short to tell them apart: {errors}");
-        };
-        let ratio = difference.abs() / std;
-        let (better, other, name) = match self.better {
-            Better::First => (first, second, "A"),
-            Better::Second => (second, first, "B"),
-            Better::NotToldApart if difference == 0.0 => {
-                return format!("both models give the same: {errors}");
-            }
-            Better::NotToldApart => {
-                return format!(
-                    "this run does not tell them apart: {errors}; the difference is {ratio:.1} standard errors over {} parts of the run, and {:.1} are asked for",
-                    self.blocks, self.limit
-                );
-            }
-        };
-        format!(
-            "{name} is better: {errors}, {:.0} % less, {ratio:.1} standard errors over {} parts of the run ({:.1} are asked for)",
-            100.0 * (1.0 - better / other),
-            self.blocks,
-            self.limit
-        )
     }
 }
 
@@ -233,8 +219,8 @@ mod tests {
         let evidence = evidence(&truth);
         let bare = Model::baseline(Motor::zk_22fc());
         let found = versus([&bare, &truth], &evidence).unwrap();
-        assert_eq!(found.better, Better::Second, "{}", found.sentence);
-        assert!(found.sentence.starts_with("B is better"), "{}", found.sentence);
+        assert_eq!(found.better, Better::Second, "{found:?}");
+        assert_eq!(found.finding, VersusFinding::SecondBetter);
         assert!((found.holdout_rmse[1] - 1.0).abs() < 0.1, "{found:?}");
         let swapped = versus([&truth, &bare], &evidence).unwrap();
         assert_eq!(swapped.better, Better::First);
@@ -249,10 +235,10 @@ mod tests {
         let inertia =
             |share: f64| Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.0045 * share));
         let found = versus([&inertia(1.0 + 2e-5), &inertia(1.0 - 2e-5)], &evidence).unwrap();
-        assert_eq!(found.better, Better::NotToldApart, "{}", found.sentence);
-        assert!(found.sentence.contains("does not tell"), "{}", found.sentence);
+        assert_eq!(found.better, Better::NotToldApart, "{found:?}");
+        assert_eq!(found.finding, VersusFinding::NotToldApart);
         let same = versus([&truth, &truth], &evidence).unwrap();
         assert_eq!(same.better, Better::NotToldApart);
-        assert!(same.sentence.contains("the same"), "{}", same.sentence);
+        assert_eq!(same.finding, VersusFinding::Same);
     }
 }

@@ -4,13 +4,14 @@
 //! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
 //! chance, and to leave the machine an inertia. No veto changes a probability.
 
-use super::evidence::STILL;
 use super::joint::answer::Inference;
 use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
+use super::limits::WhyOpen;
 use super::residual::FEWEST_SAMPLES;
 use super::score::{SETTLED_BELOW_RATIO, Score};
 use super::versus::{Better, ByBlocks};
 use drivebench_identify::noise::FloorSource;
+use drivebench_model::findings;
 use drivebench_model::plant::{MotorKey, ParameterRole, effect};
 
 /// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
@@ -21,16 +22,41 @@ const BY_CHANCE_DEVIANCE: f64 = 10.0;
 const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
 /// An effect that is not named, and why.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Veto {
     pub(super) effect: &'static str,
-    pub(super) reason: String,
+    pub(super) reason: VetoReason,
 }
 
-impl Veto {
-    pub(super) fn new(effect: &'static str, reason: impl Into<String>) -> Self {
-        Self { effect, reason: reason.into() }
+findings! {
+    /// Why an effect is not named.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum VetoReason {
+        /// More than `most` would be there at once.
+        Surplus { most: usize } = "too_many_effects",
+        HoldoutStill = "holdout_still",
+        /// Its refit does not halve the held-out error, which alone counts where the search was cut.
+        SearchCut = "search_ended_by_budget",
+        FrequencyTooHigh { found_hz: f64, highest_hz: f64 } = "frequency_above_half_the_sampling_rate",
+        FrequencyUnknown { found_hz: f64, std_hz: f64 } = "frequency_not_determined",
+        SizeMayBeZero = "size_may_be_zero",
+        /// The same by the balance of torques.
+        SizeMayBeZeroInBalance = "size_may_be_zero_in_the_balance",
+        NoInertia = "no_inertia_left",
+        ByChance = "no_better_than_chance",
+        /// Most stays unexplained with all that would be named.
+        Unexplained(WhyUnexplained) = "most_stays_unexplained",
+        /// The held-out error before and after.
+        NotLower { before: f64, after: f64, floor: FloorSource } = "held_out_error_not_lower",
     }
+}
+
+/// What shows that the probabilities are those of a model that follows nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum WhyUnexplained {
+    Open(WhyOpen),
+    SeveralTimesTheNoise,
+    NotWhite,
 }
 
 /// Effects of one machine that one diagnosis names at most: beyond them a search has put together what follows the misfit.
@@ -39,9 +65,8 @@ const MOST_NAMED: usize = 8;
 /// Those beyond the number that one machine has, the ones that explain least.
 pub(super) fn surplus(inference: &Inference) -> Vec<Veto> {
     let beyond = inference.named.iter().skip(MOST_NAMED);
-    let reason =
-        format!("more than {MOST_NAMED} effects would be there at once, and others explain more");
-    beyond.map(|id| Veto::new(id, reason.clone())).collect()
+    let reason = VetoReason::Surplus { most: MOST_NAMED };
+    beyond.map(|effect| Veto { effect, reason }).collect()
 }
 
 /// The first effect of those that `named` adds to the baseline, one on each of the further `rungs`, that may not be named; the
@@ -67,7 +92,8 @@ pub(super) fn first(
 /// effect with a size can mend.
 fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
     let last = *named.last()?;
-    (!bench.evidence.holdout_moves()).then(|| Veto::new(last, STILL))
+    let veto = Veto { effect: last, reason: VetoReason::HoldoutStill };
+    (!bench.evidence.holdout_moves()).then_some(veto)
 }
 
 /// The last named effect whose rung does not halve the held-out error, where the search was ended by its budget: no set of effects
@@ -76,10 +102,8 @@ fn unsearched(is_cut: bool, named: &[&'static str], errors: &[f64]) -> Option<Ve
     let [_, clear] = CLEAR_FALL_RATIOS;
     let is_clear = |pair: &[f64]| pair[0] >= clear * pair[1];
     let mut steps = errors.windows(2).zip(named).rev();
-    let (_, id) = steps.find(|(pair, _)| is_cut && !is_clear(pair))?;
-    let reason =
-        "the search was ended by its budget, and its refit alone does not halve the held-out error";
-    Some(Veto::new(id, reason))
+    let (_, effect) = steps.find(|(pair, _)| is_cut && !is_clear(pair))?;
+    Some(Veto { effect, reason: VetoReason::SearchCut })
 }
 
 /// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
@@ -93,15 +117,13 @@ fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Opti
         let own = fit.parameters.iter().find(|own| own.key == key)?;
         let (value, std) = (own.value?, own.std.unwrap_or(0.0));
         let reason = if value > most_hz {
-            format!(
-                "its frequency of {value:.1} Hz lies above half the rate of the samples, {most_hz:.1} Hz"
-            )
+            VetoReason::FrequencyTooHigh { found_hz: value, highest_hz: most_hz }
         } else if value < std {
-            format!("its frequency is not determined ({value:.1} ± {std:.1} Hz)")
+            VetoReason::FrequencyUnknown { found_hz: value, std_hz: std }
         } else {
             return None;
         };
-        Some(Veto::new(id, reason))
+        Some(Veto { effect: id, reason })
     };
     named.iter().rev().find_map(|id| of(id))
 }
@@ -110,9 +132,8 @@ fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Opti
 fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
     let mut named = named.iter().rev().copied();
-    let id = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
-    let reason = "the fit with it does not tell its size from zero";
-    Some(Veto::new(id, reason))
+    let effect = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
+    Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 
 /// The effect with which a balance of torques loses the inertia that it has without it: its column stands for the balance
@@ -127,9 +148,8 @@ fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) ->
         own.and_then(|own| own.value).is_some_and(|value| value > 0.0)
     };
     let mut steps = rungs.windows(2).zip(named);
-    let (_, id) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
-    let reason = "an artefact: with it the balance of torques has no inertia any more";
-    Some(Veto::new(id, reason))
+    let (_, effect) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
+    Some(Veto { effect, reason: VetoReason::NoInertia })
 }
 
 /// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
@@ -153,10 +173,8 @@ fn by_chance(
     let steps = by_chance_steps(&deviances.collect::<Option<Vec<f64>>>()?);
     let mut named = steps.into_iter().rev().map(|step| named[left + step]);
     let is_excited = |id: &str| inference.of(id).is_some_and(|own| own.excited);
-    let id = named.find(|id| left == 0 || !is_excited(id))?;
-    let reason =
-        "it takes no more from the errors than chance does, which are at the noise without it";
-    Some(Veto::new(id, reason))
+    let effect = named.find(|id| left == 0 || !is_excited(id))?;
+    Some(Veto { effect, reason: VetoReason::ByChance })
 }
 
 /// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed, the
@@ -167,7 +185,7 @@ fn without_weight(
     named: &[&'static str],
     rungs: &[Standing],
 ) -> Option<Veto> {
-    let id = *named.last()?;
+    let effect = *named.last()?;
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
     let much_is_left = floor.expected() > 0.0 && last > SETTLED_BELOW_RATIO * floor.expected();
@@ -175,14 +193,12 @@ fn without_weight(
     if is_believed && !much_is_left || floor.is_explained_in_part(base, last) {
         return None;
     }
-    let otherwise = if inference.is_nearly_white() {
-        "several times the noise is left"
-    } else {
-        "its innovations are not white"
+    let why = match inference.why_open() {
+        Some(why) => WhyUnexplained::Open(why),
+        None if inference.is_nearly_white() => WhyUnexplained::SeveralTimesTheNoise,
+        None => WhyUnexplained::NotWhite,
     };
-    let why = inference.why_open().unwrap_or(otherwise);
-    let reason = format!("most stays unexplained with all that would be named, and {why}");
-    Some(Veto::new(id, reason))
+    Some(Veto { effect, reason: VetoReason::Unexplained(why) })
 }
 
 /// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
@@ -225,13 +241,10 @@ fn without_use(
     };
     let steps = rungs.windows(2).enumerate().rev();
     let mut named = steps.map(|(step, pair)| (named[step], pair));
-    let (id, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
+    let (effect, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
     let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
-    let times = bench.evidence.noise.source.times();
-    let reason = format!(
-        "with it the held-out error goes from {before:.2} to {after:.2} {times}: it is not lower by more than chance"
-    );
-    Some(Veto::new(id, reason))
+    let floor = bench.evidence.noise.source;
+    Some(Veto { effect, reason: VetoReason::NotLower { before, after, floor } })
 }
 
 /// Whether an error of so many readings falls by more than chance: by the ratio of the likelihoods of normal errors of these

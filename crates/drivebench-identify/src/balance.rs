@@ -11,6 +11,8 @@
 //! Torque: `T = J <w'> + sum of coefficient x <term>`. The caller of [`TorqueRows`] chooses the terms: the diagnosis tries one
 //! candidate effect after the other with the same rows.
 
+use super::inverse_dynamics::Processing;
+use drivebench_model::findings;
 use drivebench_model::plant::effect::Sums;
 use drivebench_model::plant::{
     ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Scenario, Slot,
@@ -224,14 +226,23 @@ pub enum Method {
     InverseDynamics,
 }
 
+findings! {
+    /// How the rows of a torque balance came about, with its settings.
+    #[derive(Clone, Debug, PartialEq)]
+    pub enum Derivation {
+        WeakForm { window_s: f64, dead_zone_rad_s: f64 } = "weak_form",
+        /// With a second low pass, as for one row in `one_in`.
+        InverseDynamics { processing: Box<Processing>, then_hz: f64, one_in: usize } = "inverse_dynamics",
+    }
+}
+
 /// Turns the values of a term at the samples into its column.
 pub(super) type Averaging = Box<dyn Fn(&[f64]) -> Vec<f64> + Send + Sync>;
 
 /// Rows of the torque balance over the scored part of one run.
 pub struct TorqueRows {
     pub method: Method,
-    /// Description of the method for the reader.
-    pub sentence: String,
+    pub derivation: Derivation,
     /// Instants of the samples, for the terms. Under a given torque the current is that torque and the torque constant one, as in
     /// the simulation.
     pub at: Vec<Instant>,

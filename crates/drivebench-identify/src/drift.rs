@@ -2,7 +2,7 @@
 //! *Scand. J. Statist.* 6, 1979), with intervals and a possible cause.
 //!
 //! ```text
-//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm 1979 over all) -> sentence
+//! runs before, runs after -> change and 95 % interval of each parameter -> by chance? (Holm 1979 over all)
 //! ```
 //!
 //! The standard deviation of a fit contains only the noise within its run; the variation of the machine from run to run
@@ -13,10 +13,10 @@ use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use super::temperature;
+use drivebench_model::findings;
 use drivebench_model::numerics::statistics::mean;
 use drivebench_model::plant::{MotorKey, effect};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
-use drivebench_model::text::number::{exponent_of, fixed, places, probability, significant};
 
 /// Family-wise significance: probability that any parameter is reported although none has changed.
 const SIGNIFICANCE: f64 = 0.01;
@@ -45,13 +45,72 @@ pub struct Change {
     /// Significant against the noise within the runs, but with too few repeats for the variation from run to run.
     pub unsettled: bool,
     /// Null without a drift, or without a known cause.
-    pub possible_cause: Option<String>,
-    pub sentence: String,
+    #[serde(rename = "possible_cause_code")]
+    pub possible_cause: Option<DriftCause>,
+    #[serde(rename = "code")]
+    pub finding: DriftFinding,
+}
+
+findings! {
+    /// Statement on the change of one parameter.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum DriftFinding {
+        Drifted = "drifted",
+        Unsettled = "drift_not_settled",
+        /// A change larger than its interval is excluded.
+        Bounded = "no_larger_change_left_open",
+        NotShown = "no_change_shown",
+    }
+}
+
+findings! {
+    /// Possible cause of a change.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum DriftCause {
+        Winding { kelvin: f64, warmer: bool } = "winding_temperature",
+        LessSaturation = "less_saturation",
+        MoreSaturation = "more_saturation",
+        ColderMagnets = "colder_magnets",
+        WarmerMagnets = "warmer_or_weakened_magnets",
+        TorqueScale = "magnets_or_torque_scale",
+        Load = "load_on_the_shaft",
+        MoreFriction = "more_friction",
+        LessFriction = "less_friction",
+        Connections = "connections",
+        /// The cause on the card of the effect.
+        Effect { id: &'static str } = "cause_of_the_effect",
+    }
+}
+
+findings! {
+    /// Variation that the intervals do not contain.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    pub enum DriftCaution {
+        /// The variation from run to run is not known: of these parameters, or of all where there are none.
+        SingleRuns { keys: Vec<String> } = "one_run_on_each_side",
+        /// An effect that the model lacks may look like a drift.
+        OtherExcitation = "other_excitation",
+        UnknownUnit = "no_serial_number",
+        /// The figures are those of the earlier run.
+        SameFigures = "figures_of_the_earlier_run",
+        /// So many runs of the baseline are repetitions of another.
+        RepeatedRuns { count: usize } = "baseline_has_runs_twice",
+    }
+}
+
+findings! {
+    /// In which runs a parameter is not observable.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum NotCarried {
+        ByEither = "not_carried_by_either",
+        Before = "not_carried_before",
+        After = "not_carried_after",
+    }
 }
 
 impl Change {
     /// Largest change within its 95 % interval, in either direction, in per cent.
-    fn at_most_percent(&self) -> Option<f64> {
+    pub fn at_most_percent(&self) -> Option<f64> {
         let [low, high] = self.interval_95_percent?;
         Some(low.abs().max(high.abs()))
     }
@@ -61,7 +120,11 @@ impl Change {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NotCompared {
     pub key: String,
-    pub reason: String,
+    #[serde(rename = "code")]
+    pub not_carried: NotCarried,
+    /// Reason of the fit in which it is not observable.
+    #[serde(skip)]
+    pub own_reason: Option<String>,
     /// It was observable in the earlier runs, so that its change is not known.
     pub carried_before: bool,
 }
@@ -73,10 +136,11 @@ pub struct Drift {
     pub not_compared: Vec<NotCompared>,
     pub runs_before: usize,
     pub runs_after: usize,
-    /// Variation that the intervals do not contain; null where they are complete.
-    pub caution: Option<String>,
-    /// The result in one line.
-    pub sentence: String,
+    #[serde(rename = "caution_codes")]
+    pub cautions: Vec<DriftCaution>,
+    /// The earlier date as text.
+    #[serde(skip)]
+    pub since: String,
 }
 
 impl Drift {
@@ -180,28 +244,27 @@ pub fn between(
         // With two degrees of freedom or fewer the variation from run to run is hardly known.
         change.unsettled = is_beyond_noise && !change.drifted && freedom < 3.0;
         change.possible_cause = change.drifted.then(|| cause(change)).flatten();
-        change.sentence = sentence(change, since);
+        change.finding = match change.at_most_percent() {
+            _ if change.drifted => DriftFinding::Drifted,
+            _ if change.unsettled => DriftFinding::Unsettled,
+            Some(_) => DriftFinding::Bounded,
+            None => DriftFinding::NotShown,
+        };
     }
     let single = |change: &&Change| change.runs_before + change.runs_after <= 2;
     let singles: Vec<String> =
-        changes.iter().filter(single).map(|change| name(&change.key)).collect();
-    let named = if singles.len() == changes.len() {
-        String::new()
-    } else {
-        format!(" with {}", singles.join(", "))
-    };
-    let caution = (!singles.is_empty()).then(|| {
-        format!(
-            "one run on each side{named}: the variation of this machine from run to run is not known, and no interval contains it"
-        )
+        changes.iter().filter(single).map(|change| change.key.clone()).collect();
+    let caution = (!singles.is_empty()).then(|| DriftCaution::SingleRuns {
+        keys: if singles.len() == changes.len() { Vec::new() } else { singles },
     });
+    let cautions = caution.into_iter().collect();
     Drift {
-        sentence: summary(&changes, &not_compared, since),
+        since: since.to_owned(),
         changes,
         not_compared,
         runs_before: before.len(),
         runs_after: after.len(),
-        caution,
+        cautions,
     }
 }
 
@@ -214,14 +277,19 @@ fn why_not(
     // A value that was given for both is not an estimate.
     let is_given = all.clone().all(|estimate| estimate.std == Some(0.0));
     let [open_before, open_after] = [before, after].map(|runs| Sample::of(key, runs).is_none());
-    let reason = match (open_before, open_after) {
-        (true, true) => "not observable in the runs of either date",
-        (true, false) => "not observable in the earlier runs",
-        _ => "not observable in the later runs",
+    let not_carried = match (open_before, open_after) {
+        (true, true) => NotCarried::ByEither,
+        (true, false) => NotCarried::Before,
+        _ => NotCarried::After,
     };
-    let detail = all.find_map(|estimate| estimate.reason.as_ref());
-    let reason = detail.map_or_else(|| reason.to_owned(), |detail| format!("{reason}: {detail}"));
-    (!is_given).then(|| NotCompared { key: key.to_owned(), reason, carried_before: !open_before })
+    let own_reason = all.find_map(|estimate| estimate.reason.clone());
+    let carried_before = !open_before;
+    (!is_given).then(|| NotCompared {
+        key: key.to_owned(),
+        not_carried,
+        own_reason,
+        carried_before,
+    })
 }
 
 /// The change with its interval; the p-value is that of this parameter alone.
@@ -269,7 +337,7 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
         drifted: false,
         unsettled: false,
         possible_cause: None,
-        sentence: String::new(),
+        finding: DriftFinding::NotShown,
     }
 }
 
@@ -285,128 +353,29 @@ fn correct(changes: &mut [Change]) {
     }
 }
 
-/// The name of a parameter in text.
-pub fn name(key: &str) -> String {
-    let name = match MotorKey::from_key(key) {
-        Some(MotorKey::Resistance) => "resistance",
-        Some(MotorKey::Inductance) => "inductance",
-        Some(MotorKey::BackEmf) => "back-EMF constant",
-        Some(MotorKey::TorqueConstant) => "torque constant",
-        Some(MotorKey::Inertia) => "inertia",
-        Some(MotorKey::LoadTorque) => "friction (load torque)",
-        None if key == temperature::KEY => "resistance at 20 °C",
-        None => key,
-    };
-    name.to_owned()
-}
-
 /// Possible cause of a change.
-fn cause(change: &Change) -> Option<String> {
+fn cause(change: &Change) -> Option<DriftCause> {
     let grew = change.change > 0.0;
     let share = change.percent.map(|percent| percent / 100.0);
     Some(match MotorKey::from_key(&change.key) {
         Some(MotorKey::Resistance) => {
-            let kelvin = significant(share?.abs() / temperature::COPPER_PER_K, 2);
-            let warmth = if grew { "warmer" } else { "colder" };
-            format!(
-                "a winding about {kelvin} K {warmth}, if that is the only cause; connections or brushes"
-            )
+            DriftCause::Winding { kelvin: share?.abs() / temperature::COPPER_PER_K, warmer: grew }
         }
-        Some(MotorKey::Inductance) if grew => "less saturation: a smaller current".to_owned(),
-        Some(MotorKey::Inductance) => "more saturation, or a shorted turn".to_owned(),
-        Some(MotorKey::BackEmf) if grew => "colder magnets; the scale of the speed".to_owned(),
-        Some(MotorKey::BackEmf) => "warmer or weakened magnets; the scale of the speed".to_owned(),
-        Some(MotorKey::TorqueConstant) => "magnets; the scale of the torque".to_owned(),
-        Some(MotorKey::Inertia) => "another load on the shaft, or a loose coupling".to_owned(),
-        Some(MotorKey::LoadTorque) if grew => {
-            "bearing, lubrication, brushes, or another load".to_owned()
-        }
-        Some(MotorKey::LoadTorque) => "running in, warmer lubricant, or another load".to_owned(),
-        None if change.key == temperature::KEY => {
-            "connections, brushes, or a damaged winding".to_owned()
-        }
+        Some(MotorKey::Inductance) if grew => DriftCause::LessSaturation,
+        Some(MotorKey::Inductance) => DriftCause::MoreSaturation,
+        Some(MotorKey::BackEmf) if grew => DriftCause::ColderMagnets,
+        Some(MotorKey::BackEmf) => DriftCause::WarmerMagnets,
+        Some(MotorKey::TorqueConstant) => DriftCause::TorqueScale,
+        Some(MotorKey::Inertia) => DriftCause::Load,
+        Some(MotorKey::LoadTorque) if grew => DriftCause::MoreFriction,
+        Some(MotorKey::LoadTorque) => DriftCause::LessFriction,
+        None if change.key == temperature::KEY => DriftCause::Connections,
         None => {
             let (id, _) = change.key.split_once('.')?;
-            effect::find(id)?.card().drift_cause?.to_owned()
+            let card = effect::find(id)?.card();
+            card.drift_cause.map(|_| DriftCause::Effect { id: card.id })?
         }
     })
-}
-
-/// Three numbers with their sign, to the digits in which the ends of the interval differ.
-fn signed(value: f64, [low, high]: [f64; 2]) -> [String; 3] {
-    let decimals = places(exponent_of(0.5 * (high - low), 1).saturating_neg());
-    [value, low, high].map(|value| {
-        let sign = if value > 0.0 { "+" } else { "" };
-        format!("{sign}{}", fixed(value, decimals))
-    })
-}
-
-/// The change itself, with its interval.
-fn size(change: &Change) -> String {
-    if let (Some(percent), Some(interval)) = (change.percent, change.interval_95_percent) {
-        let [percent, low, high] = signed(percent, interval);
-        return format!("{percent} % (95 % interval {low} to {high} %)");
-    }
-    let [size, low, high] = signed(change.change, change.interval_95);
-    let unit = change.unit;
-    format!("{size} {unit} (95 % interval {low} to {high} {unit})")
-}
-
-fn sentence(change: &Change, since: &str) -> String {
-    let name = name(&change.key);
-    if change.drifted {
-        let chance = probability(change.by_chance);
-        let cause = change.possible_cause.as_ref();
-        let cause = cause.map_or_else(String::new, |cause| format!("; possible cause: {cause}"));
-        return format!("{name} {} since {since}, {chance} by chance{cause}", size(change));
-    }
-    if change.unsettled {
-        return format!(
-            "{name} {} since {since}: more than the noise within the runs, but there are too few runs to know the variation from run \
-             to run; repeat the run",
-            size(change)
-        );
-    }
-    match change.at_most_percent() {
-        Some(most) => format!(
-            "{name}: a change larger than {} % is excluded (95 %) since {since}",
-            significant(most, 2)
-        ),
-        None => format!("{name}: no change shown since {since}: {}", size(change)),
-    }
-}
-
-fn summary(changes: &[Change], not_compared: &[NotCompared], since: &str) -> String {
-    let list = |is: fn(&Change) -> bool| {
-        let named = changes
-            .iter()
-            .filter(|change| is(change))
-            .map(|change| format!("{} {}", name(&change.key), size(change)));
-        named.collect::<Vec<_>>().join("; ")
-    };
-    let [drifted, unsettled] = [list(|change| change.drifted), list(|change| change.unsettled)];
-    let open: Option<Vec<f64>> = changes.iter().map(Change::at_most_percent).collect();
-    let count = changes.len();
-    let summary = if !drifted.is_empty() {
-        format!("drifted since {since}: {drifted}")
-    } else if !unsettled.is_empty() {
-        format!("not settled whether there is a drift since {since}: {unsettled}")
-    } else if changes.is_empty() {
-        "no comparison: no parameter is observable in the runs of both dates".to_owned()
-    } else if let Some(open) = open {
-        let most = significant(open.into_iter().fold(0.0, f64::max), 2);
-        format!(
-            "no drift shown since {since}: {count} parameters compared, a change larger than {most} % is excluded (95 % for each \
-             alone)"
-        )
-    } else {
-        format!("no drift shown since {since}: {count} parameters compared")
-    };
-    if not_compared.is_empty() {
-        return summary;
-    }
-    let open: Vec<String> = not_compared.iter().map(|one| name(&one.key)).collect();
-    format!("{summary}; not compared: {}", open.join(", "))
 }
 
 #[cfg(test)]

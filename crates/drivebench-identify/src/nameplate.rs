@@ -9,14 +9,12 @@ use std::f64::consts::PI;
 
 use serde::Serialize;
 
+use drivebench_model::findings;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
-use drivebench_model::text::number::{significant, with_std};
 
 /// Relative tolerance of catalogues, load and temperature of the winding included.
 const CATALOGUE_TOLERANCE: f64 = 0.3;
-/// End of the sentence of a value that differs.
-const MISFIT: &str = ", does not fit";
 
 /// The parameters of a nameplate, in the order of its rows.
 pub(super) const KEYS: [MotorKey; 5] = [
@@ -48,7 +46,86 @@ pub struct Row {
     /// Found over nameplate.
     pub ratio: Option<f64>,
     pub fits: Fits,
-    pub sentence: String,
+    /// Why the data do not carry it.
+    #[serde(skip)]
+    pub reason: Option<String>,
+}
+
+findings! {
+    /// What is known of one key.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum RowFinding {
+        Fits = "fits",
+        Differs = "differs",
+        /// Both values are there, and the comparison is not trusted.
+        NotJudged = "not_judged",
+        NotIdentified = "not_identified",
+        NotOnNameplate = "not_on_nameplate",
+    }
+}
+
+impl Row {
+    pub const fn finding(&self) -> RowFinding {
+        match (self.nameplate, self.found, self.fits) {
+            (None, ..) => RowFinding::NotOnNameplate,
+            (_, None, _) => RowFinding::NotIdentified,
+            (.., Fits::Yes) => RowFinding::Fits,
+            (.., Fits::No) => RowFinding::Differs,
+            (.., Fits::NotTold) => RowFinding::NotJudged,
+        }
+    }
+}
+
+findings! {
+    /// What would explain the differences.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum NameplateCause {
+        RpmForRadPerS = "speed_in_rpm_taken_for_rad_s",
+        RadPerSForRpm = "speed_in_rad_s_taken_for_rpm",
+        RadPerSForTurnsPerS = "speed_in_rad_s_taken_for_turns_per_s",
+        TurnsPerSForRadPerS = "speed_in_turns_per_s_taken_for_rad_s",
+        PulsesHalf = "pulses_given_as_half",
+        LinesForEdges = "lines_given_edges_counted",
+        PulsesTwice = "pulses_given_as_twice",
+        EdgesForLines = "edges_given_lines_counted",
+        SpeedTenTimes = "speed_ten_times_too_large",
+        SpeedTenth = "speed_ten_times_too_small",
+        SpeedScale { factor: f64 } = "speed_scale",
+        CurrentScale { factor: f64 } = "current_scale",
+        VoltageScale { factor: f64 } = "voltage_scale",
+        WarmWinding { kelvin: f64 } = "winding_temperature",
+        Contacts = "leads_brushes_or_contacts",
+        OtherWinding = "other_winding_or_resistance_of_more",
+        LoadInertia = "load_on_the_shaft",
+        Friction = "friction_not_as_expected",
+        Saturation = "saturation_or_other_winding",
+        LoadOnShaft = "only_the_load_differs",
+        AnotherMotor = "another_motor",
+    }
+}
+
+findings! {
+    /// Why differences are no fault of the nameplate.
+    #[derive(Clone, Debug, PartialEq)]
+    pub enum NameplateDoubt {
+        /// The five-parameter model leaves so many times the noise.
+        ModelMisses { times_noise: f64 } = "model_misses_something",
+        /// It cannot be held against the run, with the message.
+        NotCompared { message: String } = "model_not_comparable",
+    }
+}
+
+findings! {
+    /// Whether the whole plate fits.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum NameplateFinding {
+        Fits = "nameplate_fits",
+        /// But for what was not identified.
+        FitsInPart = "nameplate_fits_in_part",
+        DoesNotFit = "nameplate_does_not_fit",
+        NotJudged = "nameplate_not_judged",
+        Doubted = "nameplate_doubted",
+    }
 }
 
 /// The whole nameplate.
@@ -60,52 +137,44 @@ pub struct Comparison {
     pub tolerance: f64,
     pub rows: Vec<Row>,
     /// Possible causes of the differences.
-    pub causes: Vec<String>,
-    /// Reason for which differences are not attributed to the nameplate.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub doubt: Option<String>,
+    #[serde(rename = "cause_codes")]
+    pub causes: Vec<NameplateCause>,
+    #[serde(rename = "doubt_code", skip_serializing_if = "Option::is_none")]
+    pub doubt: Option<NameplateDoubt>,
 }
 
 impl Comparison {
-    /// Sentences of the values that do not fit.
-    pub fn differences(&self) -> impl Iterator<Item = &str> {
-        let differing = self.rows.iter().filter(|row| row.fits == Fits::No);
-        differing.map(|row| row.sentence.as_str())
+    /// The values that do not fit.
+    pub fn differences(&self) -> impl Iterator<Item = &Row> {
+        self.rows.iter().filter(|row| row.fits == Fits::No)
     }
 
     /// Withdraws the differences: the estimates may be biased by an effect that the model lacks.
-    pub fn doubt(&mut self, reason: String) {
+    pub fn doubt(&mut self, doubt: NameplateDoubt) {
         for row in self.rows.iter_mut().filter(|row| row.fits == Fits::No) {
             row.fits = Fits::NotTold;
-            row.sentence = row.sentence.replace(MISFIT, "");
         }
         self.fits = true;
         self.causes.clear();
-        self.doubt = Some(reason);
+        self.doubt = Some(doubt);
+    }
+
+    /// Keys of the plate that are not compared.
+    pub fn open(&self) -> impl Iterator<Item = &'static str> {
+        let open = |row: &&Row| row.fits == Fits::NotTold && row.nameplate.is_some();
+        self.rows.iter().filter(open).map(|row| row.key)
     }
 
     /// Whether it fits.
-    pub fn verdict(&self) -> String {
+    pub fn finding(&self) -> NameplateFinding {
         let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
-        let open: Vec<&str> = self
-            .rows
-            .iter()
-            .filter(|row| row.fits == Fits::NotTold && row.nameplate.is_some())
-            .map(|row| row.key)
-            .collect();
-        let fits_in_part =
-            format!("fits, except for values that were not identified: {}", open.join(", "));
-        format!(
-            "nameplate {} (within {:.0} % and the uncertainty)",
-            match (&self.doubt, judged, self.fits) {
-                (Some(doubt), ..) => doubt,
-                (None, false, _) => "not judged: none of its values was identified",
-                (None, true, true) if open.is_empty() => "fits",
-                (None, true, true) => &fits_in_part,
-                (None, true, false) => "does NOT fit",
-            },
-            100.0 * self.tolerance
-        )
+        match (judged, self.fits) {
+            _ if self.doubt.is_some() => NameplateFinding::Doubted,
+            (false, _) => NameplateFinding::NotJudged,
+            (true, false) => NameplateFinding::DoesNotFit,
+            (true, true) if self.open().next().is_none() => NameplateFinding::Fits,
+            (true, true) => NameplateFinding::FitsInPart,
+        }
     }
 }
 
@@ -137,122 +206,77 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
         }
         _ => Fits::NotTold,
     };
-    let name = key.key();
-    let sentence = match (nameplate, value) {
-        (Some(plate), Some(value)) => {
-            let times = ratio.map_or_else(String::new, |ratio| match ratio {
-                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the nameplate"),
-                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the nameplate", 1.0 / ratio),
-                ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
-            });
-            let misfit = if fits == Fits::No { MISFIT } else { "" };
-            format!(
-                "{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}",
-                with_std(value, std),
-                significant(plate, 4)
-            )
-        }
-        (Some(plate), None) => {
-            let reason = estimate.and_then(|estimate| estimate.reason.as_deref());
-            format!(
-                "{name}: nameplate {} {unit}, not identified ({})",
-                significant(plate, 4),
-                reason.unwrap_or("not estimated")
-            )
-        }
-        (None, value) => format!(
-            "{name}: found {} {unit}, not on the nameplate",
-            with_std(value.unwrap_or(f64::NAN), std)
-        ),
-    };
-    Some(Row { key: name, unit, nameplate, found: value, std, ratio, fits, sentence })
+    let reason = estimate.and_then(|estimate| estimate.reason.clone());
+    Some(Row { key: key.key(), unit, nameplate, found: value, std, ratio, fits, reason })
 }
 
 /// Cause, exponents of a wrong scale factor of one sensor in R, L, Ke, J, Mc, and the index of the key whose ratio gives the factor.
 /// The torque constant is that of the back-EMF, so that a wrong speed is also an error of the torques.
-type Pattern = (fn(f64) -> String, [i32; 5], usize);
+type Pattern = (fn(f64) -> NameplateCause, [i32; 5], usize);
 
 /// A speed measured as `c` times the true one: Ke/c, J/c^2, Mc/c. A current as `c` times: R/c, L/c, J c, Mc c.
 /// A voltage as `c` times: R c, L c, Ke c, and with it J c, Mc c.
 const PATTERNS: [Pattern; 3] = [
     (speed_cause, [0, 0, -1, -2, -1], 2),
-    (current_cause, [-1, -1, 0, 1, 1], 0),
-    (voltage_cause, [1, 1, 1, 1, 1], 2),
+    (|factor| NameplateCause::CurrentScale { factor }, [-1, -1, 0, 1, 1], 0),
+    (|factor| NameplateCause::VoltageScale { factor }, [1, 1, 1, 1, 1], 2),
 ];
 
-fn speed_cause(factor: f64) -> String {
+fn speed_cause(factor: f64) -> NameplateCause {
     let per_minute = 60.0 / (2.0 * PI);
     let known = [
-        (per_minute, "speed in r/min taken for rad/s (factor 9.55)"),
-        (1.0 / per_minute, "speed in rad/s taken for r/min (factor 1/9.55)"),
-        (2.0 * PI, "speed in rad/s taken for turns per second (factor 6.28)"),
-        (1.0 / (2.0 * PI), "speed in turns per second taken for rad/s (factor 1/6.28)"),
-        (2.0, "encoder pulses per turn set to half of the true number, or edges counted twice"),
-        (4.0, "encoder pulses per turn: lines given, quadrature edges counted (factor 4)"),
-        (0.5, "encoder pulses per turn set to twice the true number"),
-        (0.25, "encoder pulses per turn: edges given, lines counted (factor 1/4)"),
-        (10.0, "speed scaling ten times too large"),
-        (0.1, "speed scaling ten times too small"),
+        (per_minute, NameplateCause::RpmForRadPerS),
+        (1.0 / per_minute, NameplateCause::RadPerSForRpm),
+        (2.0 * PI, NameplateCause::RadPerSForTurnsPerS),
+        (1.0 / (2.0 * PI), NameplateCause::TurnsPerSForRadPerS),
+        (2.0, NameplateCause::PulsesHalf),
+        (4.0, NameplateCause::LinesForEdges),
+        (0.5, NameplateCause::PulsesTwice),
+        (0.25, NameplateCause::EdgesForLines),
+        (10.0, NameplateCause::SpeedTenTimes),
+        (0.1, NameplateCause::SpeedTenth),
     ];
-    let is_known = |known: &&(f64, &str)| (factor / known.0).ln().abs() < 0.15;
-    match known.iter().find(is_known) {
-        Some((_, text)) => (*text).to_owned(),
-        None => format!(
-            "speed sensor reads {factor:.2} times the true speed (pulses per turn, gain), or a gear"
-        ),
-    }
+    let is_known = |known: &&(f64, NameplateCause)| (factor / known.0).ln().abs() < 0.15;
+    known.iter().find(is_known).map_or(NameplateCause::SpeedScale { factor }, |known| known.1)
 }
 
-fn current_cause(factor: f64) -> String {
-    format!("current sensor reads {factor:.2} times the true current (gain, unit, shunt)")
-}
-
-fn voltage_cause(factor: f64) -> String {
-    format!("voltage is {factor:.2} times that at the motor (scaling of the command, supply)")
-}
-
-fn causes(rows: &[Row]) -> Vec<String> {
+fn causes(rows: &[Row]) -> Vec<NameplateCause> {
     let ratio = |key: MotorKey| rows.iter().find(|row| row.key == key.key())?.ratio;
     let misfits = || rows.iter().filter(|row| row.fits == Fits::No);
     let differs = |key: MotorKey| misfits().any(|row| row.key == key.key());
-    let count = misfits().count();
-    let causes: Vec<String> =
-        PATTERNS.iter().filter_map(|pattern| explained(pattern, &ratio)).collect();
+    let only = |key: MotorKey| misfits().count() == 1 && differs(key);
+    let causes: Vec<_> = PATTERNS.iter().filter_map(|own| explained(own, &ratio)).collect();
     if !causes.is_empty() {
         return causes;
     }
-    let cause = if count == 1 && differs(MotorKey::Resistance) {
-        let rise_k = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / 0.0039);
+    vec![if only(MotorKey::Resistance) {
+        let kelvin = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / 0.0039);
         // No winding is more than 130 K warmer than that of the nameplate.
-        if (0.0..=130.0).contains(&rise_k) {
-            return vec![format!(
-                "winding temperature: copper gains 39 % per 100 K, this is {rise_k:.0} K; or leads and brushes"
-            )];
-        }
-        if rise_k > 130.0 {
-            "resistance of leads, brushes or contacts; or another winding"
+        if (0.0..=130.0).contains(&kelvin) {
+            NameplateCause::WarmWinding { kelvin }
+        } else if kelvin > 130.0 {
+            NameplateCause::Contacts
         } else {
-            "another winding, or a resistance on the nameplate that includes more than the armature"
+            NameplateCause::OtherWinding
         }
-    } else if count == 1 && differs(MotorKey::Inertia) {
-        "a load on the shaft (or none), or a nameplate that gives the rotor alone"
-    } else if count == 1 && differs(MotorKey::LoadTorque) {
-        "friction of load, bearings or brake differs from the nameplate"
-    } else if count == 1 && differs(MotorKey::Inductance) {
-        "saturation, another method of measuring the inductance, or another winding"
+    } else if only(MotorKey::Inertia) {
+        NameplateCause::LoadInertia
+    } else if only(MotorKey::LoadTorque) {
+        NameplateCause::Friction
+    } else if only(MotorKey::Inductance) {
+        NameplateCause::Saturation
     } else if !KEYS[..3].iter().any(|key| differs(*key)) {
-        "the load on the shaft: winding and back-EMF fit the nameplate"
+        NameplateCause::LoadOnShaft
     } else {
-        "another motor than the one on the nameplate: no single sensor factor explains the differences"
-    };
-    vec![cause.to_owned()]
+        NameplateCause::AnotherMotor
+    }]
 }
 
 /// The cause of a pattern, if one factor explains all known ratios within the tolerance of catalogues.
 fn explained(
     (cause, powers, reference): &Pattern,
     ratio: &impl Fn(MotorKey) -> Option<f64>,
-) -> Option<String> {
+) -> Option<NameplateCause> {
     let tolerance = CATALOGUE_TOLERANCE.ln_1p();
     let factor = ratio(KEYS[*reference])?.powf(1.0 / f64::from(powers[*reference]));
     // A factor within the tolerance is not a cause.
@@ -297,25 +321,25 @@ mod tests {
     #[test]
     fn differences_and_their_causes_follow_from_the_factors() {
         let found = scaled([1.2, 0.8, 1.05, 0.9, 1.3]);
-        assert!(found.fits && found.causes.is_empty(), "{}", found.verdict());
+        assert_eq!((found.finding(), &found.causes[..]), (NameplateFinding::Fits, &[][..]));
         let found = scaled([1.34, 1.0, 1.0, 1.0, 1.0]);
-        let differences: Vec<&str> = found.differences().collect();
-        let has_both = differences[0].contains("1.474") && differences[0].contains("1.100");
-        assert!(!found.fits && differences.len() == 1 && has_both, "{differences:?}");
+        let differences: Vec<&Row> = found.differences().collect();
+        assert!(!found.fits && differences.len() == 1, "{differences:?}");
+        assert_eq!(differences[0].finding(), RowFinding::Differs);
         let c: f64 = 9.549;
         for (factors, cause) in [
-            ([1.34, 1.0, 1.0, 1.0, 1.0], "87 K"),
-            ([1.0, 1.0, 1.0 / c, 1.0 / (c * c), 1.0 / c], "r/min"),
-            ([1.1, 0.9, 4.0, 16.0, 4.0], "edges given"),
-            ([0.5, 0.5, 1.0, 2.0, 2.0], "current sensor reads 2.00"),
-            ([3.0, 3.0, 3.0, 3.0, 3.0], "voltage is 3.00"),
-            ([1.8, 0.1, 0.14, 0.0044, 0.022], "another motor"),
-            ([1.0, 1.0, 1.0, 10.0, 3.0], "load on the shaft"),
-            ([1.0, 1.0, 1.0, 10.0, 1.0], "a load on the shaft"),
-            ([2.0, 1.0, 1.0, 1.0, 1.0], "leads"),
+            ([1.34, 1.0, 1.0, 1.0, 1.0], "winding_temperature"),
+            ([1.0, 1.0, 1.0 / c, 1.0 / (c * c), 1.0 / c], "speed_in_rpm_taken_for_rad_s"),
+            ([1.1, 0.9, 4.0, 16.0, 4.0], "edges_given_lines_counted"),
+            ([0.5, 0.5, 1.0, 2.0, 2.0], "current_scale"),
+            ([3.0, 3.0, 3.0, 3.0, 3.0], "voltage_scale"),
+            ([1.8, 0.1, 0.14, 0.0044, 0.022], "another_motor"),
+            ([1.0, 1.0, 1.0, 10.0, 3.0], "only_the_load_differs"),
+            ([1.0, 1.0, 1.0, 10.0, 1.0], "load_on_the_shaft"),
+            ([2.0, 1.0, 1.0, 1.0, 1.0], "leads_brushes_or_contacts"),
         ] {
             let causes = scaled(factors).causes;
-            assert!(causes[0].contains(cause), "{cause}: {causes:?}");
+            assert_eq!(causes[0].code(), cause, "{causes:?}");
         }
     }
 
@@ -328,7 +352,8 @@ mod tests {
         let comparison = compare(&nameplate, &found);
         assert!(comparison.fits);
         assert_eq!(comparison.rows[1].fits, Fits::NotTold);
-        assert!(comparison.rows[1].sentence.contains("period too long"));
-        assert!(comparison.rows[4].sentence.contains("not on the nameplate"));
+        assert_eq!(comparison.rows[1].reason.as_deref(), Some("period too long"));
+        assert_eq!(comparison.rows[1].finding(), RowFinding::NotIdentified);
+        assert_eq!(comparison.rows[4].finding(), RowFinding::NotOnNameplate);
     }
 }

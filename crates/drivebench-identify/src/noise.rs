@@ -23,24 +23,6 @@ pub enum FloorSource {
     None,
 }
 
-impl FloorSource {
-    /// The unit of an error that is given as a multiple.
-    pub const fn unit(self) -> &'static str {
-        match self {
-            Self::Standstill | Self::Repeat => "the noise floor",
-            Self::None => "the baseline's residual",
-        }
-    }
-
-    /// The text after a multiple of the unit.
-    pub const fn times(self) -> &'static str {
-        match self {
-            Self::Standstill | Self::Repeat => "times the noise floor",
-            Self::None => "times the baseline's residual",
-        }
-    }
-}
-
 /// Standard deviation of the measurement noise, per signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct NoiseFloor {

@@ -17,7 +17,8 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::balance::{
-    Column, Method, Signals, TorqueRows, Unknown, scored_s, set_motor, unknowns, why_no_regressor,
+    Column, Derivation, Method, Signals, TorqueRows, Unknown, scored_s, set_motor, unknowns,
+    why_no_regressor,
 };
 use super::noise::{NoiseFloor, roughness};
 use super::output_error::BLOCK_S;
@@ -484,11 +485,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     };
     Some(TorqueRows {
         method: Method::WeakForm,
-        sentence: format!(
-            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, without differentiation; windows with \
-             speeds below {dead_zone_rad_s:.3} rad/s left out",
-            1e3 * nominal_s,
-        ),
+        derivation: Derivation::WeakForm { window_s: nominal_s, dead_zone_rad_s },
         begin_s: scenario.begin_s(),
         time_s,
         left: lefts,

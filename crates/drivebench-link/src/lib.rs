@@ -67,8 +67,8 @@ pub use modbus::{
 };
 pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use probe::{
-    ProbeDepth, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState, probe,
-    probe_stream,
+    ProbeDepth, ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState,
+    probe, probe_stream,
 };
 pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
 pub use profiled::ProfiledLink;

@@ -14,11 +14,12 @@ use serde_json::Value;
 
 use super::process;
 use super::process::End;
+use crate::report::wording::drift as words;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{estimates, read_text};
 use crate::workflow::suite::{IdentifiedStep, SuiteOutcome};
 use drivebench_bench::recording::{Machine, Manifest, RunFile, RunFolder};
-use drivebench_identify::drift::{Drift, between, name};
+use drivebench_identify::drift::{Drift, DriftCaution, between};
 use drivebench_model::sample::ParameterEstimate;
 
 /// What a suite is compared with.
@@ -115,27 +116,12 @@ impl Baseline {
         let is_itself = before.iter().any(|known| has_figures(&now, known));
         let mut drift = between(&before, &[now], &first);
         let cautions = [
-            (
-                is_alike,
-                "excited otherwise than then, or not known to be alike: an effect that the model lacks may look like a drift",
-            ),
-            (is_unit_known, "no serial number: not known to be the same unit"),
-            (
-                !is_itself,
-                "figure for figure as it was then: the same run, or a software drive that repeats itself",
-            ),
+            (!is_alike).then_some(DriftCaution::OtherExcitation),
+            (!is_unit_known).then_some(DriftCaution::UnknownUnit),
+            is_itself.then_some(DriftCaution::SameFigures),
+            (repeated > 0).then_some(DriftCaution::RepeatedRuns { count: repeated }),
         ];
-        let cautions =
-            cautions.into_iter().filter(|(is_well, _)| !is_well).map(|(_, text)| text.to_owned());
-        let repeats =
-            format!("{repeated} of the baseline are a run that is in it already, and not counted");
-        let cautions: Vec<String> = drift
-            .caution
-            .into_iter()
-            .chain(cautions)
-            .chain((repeated > 0).then_some(repeats))
-            .collect();
-        drift.caution = (!cautions.is_empty()).then(|| cautions.join("; "));
+        drift.cautions.extend(cautions.into_iter().flatten());
         Ok(drift)
     }
 
@@ -253,8 +239,10 @@ pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
         return Vec::new();
     }
     let keys: Vec<&str> = drift.in_question().map(|change| change.key.as_str()).collect();
-    let lost: Vec<String> =
-        drift.lost().map(|own| format!("{} not compared: {}", own.key, own.reason)).collect();
+    let lost: Vec<String> = drift
+        .lost()
+        .map(|own| format!("{} not compared: {}", own.key, words::not_compared(own)))
+        .collect();
     let drifted = if lost.is_empty() {
         keys.into()
     } else {
@@ -274,12 +262,15 @@ pub(crate) fn lines(outcome: &SuiteOutcome) -> Vec<String> {
     let mut lines = Vec::new();
     for case in &outcome.cases {
         for drift in case.steps.iter().filter_map(|step| step.identified.as_ref()?.drift.as_ref()) {
-            lines.push(format!("{} [seed {}]: {}", case.name, case.seed, drift.sentence));
-            lines.extend(drift.in_question().map(|change| format!("  {}", change.sentence)));
-            for lost in &drift.not_compared {
-                lines.push(format!("  {} not compared: {}", name(&lost.key), lost.reason));
-            }
-            lines.extend(drift.caution.iter().map(|caution| format!("  {caution}")));
+            lines.push(format!("{} [seed {}]: {}", case.name, case.seed, words::drift(drift)));
+            lines.extend(
+                drift.in_question().map(|own| format!("  {}", words::change(own, &drift.since))),
+            );
+            let not_compared = drift.not_compared.iter();
+            lines.extend(not_compared.map(|own| {
+                format!("  {} not compared: {}", words::name(&own.key), words::not_compared(own))
+            }));
+            lines.extend(words::caution(drift).map(|caution| format!("  {caution}")));
         }
     }
     lines

@@ -9,6 +9,7 @@ use ratatui::text::{Line, Span};
 
 use super::state::State;
 use crate::report::curve_chart;
+use crate::report::wording::location;
 use crate::tui::axis_chart;
 use crate::tui::frame::{in_rows, rows, titled_with};
 use crate::tui::theme;
@@ -28,7 +29,7 @@ pub(super) fn curve(
     let Some((curve, _)) = drawn.get(index) else {
         return;
     };
-    let title = format!("{}, over {}", curve.title(), curve.axis_label());
+    let title = format!("{}, over {}", location::curve_title(curve), location::axis_label(curve));
     let place =
         if drawn.len() > 1 { format!("{} of {}", index + 1, drawn.len()) } else { String::new() };
     let inner = titled_with(&title, &place, area, buffer);
@@ -36,9 +37,9 @@ pub(super) fn curve(
     let most = if inner.height >= 16 { 4 } else { 1 };
     let room = width.saturating_sub(1).max(1);
     // A map of an unexplained error has its sentence, and no figures of windows.
-    let figures = (!curve.is_unexplained()).then(|| curve.sentence());
-    let texts = figures.iter().chain(&curve.why_axis);
-    let texts = in_rows(texts.flat_map(|text| wrapped(text, room)).collect(), most);
+    let figures = (!curve.is_unexplained()).then(|| location::curve(curve));
+    let texts = figures.into_iter().chain(location::why_axis(curve));
+    let texts = in_rows(texts.flat_map(|text| wrapped(&text, room)).collect(), most);
     let styled = texts.iter().map(|row| Line::styled(format!(" {row}"), theme::BOLD));
     let mut lines: Vec<Line<'static>> = styled.collect();
     let cursor = cursor.and_then(|at| Some((at, curve.points.get(at)?)));

@@ -7,6 +7,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::state::State;
+use crate::report::wording::candidate::{at_most, seen_from};
 use crate::tui::frame::{bar, row as render_row, rows as render_rows, titled_with};
 use crate::tui::live::parameter_name;
 use crate::tui::theme;
@@ -179,7 +180,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             let text = if is_named {
                 size(candidate, width >= WIDE)
             } else if is_seen {
-                candidate.at_most()
+                at_most(candidate)
             } else {
                 None
             };
@@ -189,7 +190,7 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
                 let text = cut(&format!(" as good as {other}"), width.saturating_sub(used + 2));
                 spans.push(Span::styled(text, theme::CAREFUL));
             }
-            if let (true, Some(text)) = (width >= WIDE && is_seen, candidate.seen_from()) {
+            if let (true, Some(text)) = (width >= WIDE && is_seen, seen_from(candidate)) {
                 let used: usize = spans.iter().map(Span::width).sum();
                 // Half a unit would be another unit.
                 if used + text.chars().count() + 4 <= width {

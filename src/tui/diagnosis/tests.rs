@@ -16,8 +16,8 @@ use crate::tui::testing::{self, fan_model, fan_traces};
 use crate::tui::traces::{FRAMES, StoppedAt};
 use crate::workflow::{News, Order};
 use drivebench_diagnose::{
-    AddResult, AxisMap, Diagnosis, DiagnosisVerdict, EffectCurve, ErrorOf, Event as Found,
-    NextExperiment, Status, effect_curve, error_curve,
+    AddResult, AxisFinding, AxisMap, ChangeFinding, Diagnosis, DiagnosisVerdict, EffectCurve,
+    ErrorOf, Event as Found, NextExperiment, Status, effect_curve, error_curve,
 };
 use drivebench_identify::frequency_response::Compared;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
@@ -38,7 +38,6 @@ fn nothing_more() -> Diagnosis {
             candidate(1, "cogging", Status::RuledOut, 1.03),
             candidate(2, "inductance_saturation", Status::NotExcited, 1.03),
         ],
-        sentence: "nothing is missing: held-out error 1.03 times the noise floor".to_owned(),
         baseline: fitted(&["stribeck_friction"]),
         ..diagnosis()
     }
@@ -49,7 +48,12 @@ fn added(effect: &'static str, accepted: bool) -> News {
         effect,
         accepted,
         forced: false,
-        reason: format!("{effect} helps only in training (4.80 -> 4.20)"),
+        name: effect,
+        finding: ChangeFinding::NotThere { beside: Vec::new(), would_show: true },
+        probability: 0.04,
+        superfluous: Vec::new(),
+        refused: None,
+        aside: None,
         before: comparison(0.76),
         after: comparison(0.155),
         parameters: Vec::new(),
@@ -124,7 +128,6 @@ fn of_a_fan() -> State {
     let mut found = diagnosis();
     found.candidates[0] = candidate(1, "quadratic_load", Status::Supported, 1.03);
     (found.effect, found.effects) = (Some("quadratic_load"), vec!["quadratic_load"]);
-    found.sentence = found.sentence.replace("stribeck_friction", "quadratic_load");
     answer(&mut state, found);
     receive(&mut state, News::Curves(fan_curves()));
     state
@@ -263,7 +266,7 @@ fn unexplained() -> State {
         values: vec![0.0, 0.1, 0.05],
         std: vec![0.01; 3],
         error_over_noise: None,
-        sentence: "80 % of the torque error follows the speed".to_owned(),
+        finding: AxisFinding::Followed { integrated: false },
     };
     let verdict = DiagnosisVerdict::Unexplained;
     answer(&mut state, Diagnosis { verdict, axis_map: vec![map], ..diagnosis() });
@@ -560,8 +563,7 @@ fn in_every_state_orders_wait_q_leaves_and_idle_keys_say_why() {
 #[test]
 fn without_a_floor_nothing_is_a_multiple_of_it() {
     let mut state = answered();
-    let (noise_floor_from, sentence) = (FloorSource::None, "missing: stribeck_friction".to_owned());
-    answer(&mut state, Diagnosis { noise_floor_from, sentence, ..diagnosis() });
+    answer(&mut state, Diagnosis { noise_floor_from: FloorSource::None, ..diagnosis() });
     let mut state = pressed(state, "a");
     let News::Added(mut change) = added("stribeck_friction", true) else { panic!("it adds") };
     change.confirm = Some([5.1, 0.4].map(|error| rung(Vec::new(), error)));

@@ -12,6 +12,7 @@ use ratatui::text::{Line, Span};
 use super::charts;
 use super::list::candidates;
 use super::state::{Over, State, Step};
+use crate::report::wording::{self, change as change_words, diagnosis as words, location};
 use crate::report::{
     Tone, comparison_document, effect_document, error_changes, open_questions, tone,
 };
@@ -192,7 +193,7 @@ fn verdict_line(state: &State) -> Line<'static> {
         return Line::styled(format!("ERROR: {failure}"), theme::BAD);
     }
     if let (true, Some(comparison)) = (state.only_compares(), &state.comparison) {
-        return Line::styled(comparison.where_it_fails().0, theme::BOLD);
+        return Line::styled(location::failure(comparison), theme::BOLD);
     }
     let Some(diagnosis) = &state.diagnosis else {
         let judged = state.judged.values();
@@ -206,10 +207,10 @@ fn verdict_line(state: &State) -> Line<'static> {
         return Line::styled(text, theme::CAREFUL);
     };
     let (word, style) = word(diagnosis);
-    let rest = diagnosis.after_name();
+    let rest = words::after_name(diagnosis);
     let colon = if rest.is_empty() { "" } else { ": " };
     let mut line = Line::from(Span::styled(format!("{word}{colon}"), style));
-    line.push_span(rest.to_owned());
+    line.push_span(rest);
     let names_effects =
         matches!(diagnosis.verdict, DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous);
     if names_effects && !diagnosis.sufficient {
@@ -238,7 +239,7 @@ fn word(diagnosis: &Diagnosis) -> (String, Style) {
         (_, Answer::Ambiguous | Answer::NothingFound) => ("?", theme::CAREFUL),
         _ => ("~", theme::CAREFUL),
     };
-    (format!("{mark} {}", answer.name().to_uppercase()), style)
+    (format!("{mark} {}", words::answer(answer).to_uppercase()), style)
 }
 
 /// The keys that do something now, the first first, and those that are always shown.
@@ -379,18 +380,19 @@ fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<
 
 /// What the last key did: before and after, or why it was refused.
 fn change(added: bool, result: &AddResult) -> (String, Style) {
+    let reason = || change_words::change(result);
     if !result.accepted {
-        return (format!("✗ refused: {}", result.reason), theme::CAREFUL);
+        return (format!("✗ refused: {}", reason()), theme::CAREFUL);
     }
     if result.forced {
-        return (format!("~ {}: {}", result.effect, result.reason), theme::CAREFUL);
+        return (format!("~ {}: {}", result.effect, reason()), theme::CAREFUL);
     }
     let word = if added { "added" } else { "removed" };
     let figures = error_changes(result);
     let mut text = format!("✓ {word} {}: {figures}", result.effect);
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
-        let times = result.before.noise_floor_from.times();
+        let times = wording::times(result.before.noise_floor_from);
         let _ = write!(text, "; confirming run {before:.2} -> {after:.2} {times}");
     }
     (text, theme::GOOD)

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::Case;
+use crate::report::wording::json;
 use drivebench_bench::recording::Machine;
 use drivebench_identify::drift::Drift;
 
@@ -37,7 +38,7 @@ pub struct IdentifiedStep {
     /// As `identify --json` has them.
     pub parameters: Value,
     /// What has changed since the baseline; null where there is none.
-    #[serde(skip_deserializing)]
+    #[serde(skip_deserializing, serialize_with = "json::drifted")]
     pub drift: Option<Drift>,
 }
 

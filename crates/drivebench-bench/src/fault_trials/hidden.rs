@@ -75,7 +75,8 @@ fn machine(seed: u64) -> Outcome {
     // Where the host stamps commands, the time of a write is there as well, and may be named.
     let effects = spoilt.effects.iter().filter(|id| **id != "command_delay");
     let named = spoilt.verdict == DiagnosisVerdict::Effect && effects.eq([&name]);
-    let wrong = format!("{seed}, {name}: {} (clean: {})", spoilt.sentence, clean.sentence);
+    let named_too = (&spoilt.effects, &clean.effects);
+    let wrong = format!("{seed}, {name}: {:?}, {named_too:?}", spoilt.answer());
     Outcome { wrong: (!named).then_some(wrong), moves: moves(&spoilt, &clean), repeated }
 }
 

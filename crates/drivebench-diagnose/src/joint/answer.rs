@@ -14,12 +14,14 @@ use super::select::Set;
 use super::solution::{FittedEvent, at_solution};
 use crate::evidence::{Evidence, HoldoutFrom};
 use crate::floor::{Floor, MOST_UNOBSERVED_RATIO};
+use crate::limits::{Limit, WhyOpen};
 use crate::progress::Progress;
 use crate::score::{Fitted, cannot_simulate, in_noise};
-use crate::vetoes::Veto;
+use crate::vetoes::{Veto, VetoReason};
 use crate::work::Work;
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::output_error::FitError;
+use drivebench_model::findings;
 use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::{ActiveEffect, Effect, Model, MotorKey, Scenario, State};
 use serde::Serialize;
@@ -58,7 +60,18 @@ pub struct Unknown {
     pub probability: f64,
     /// Share of the error of the baseline.
     pub share_of_error: f64,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub kind: UnknownKind,
+}
+
+findings! {
+    /// What an unknown part is and what it follows.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum UnknownKind {
+        TorqueOverAngle = "unknown_torque_over_angle",
+        VoltageOverCurrent = "unknown_voltage_over_current",
+        TorqueOverSpeed = "unknown_torque_over_speed",
+    }
 }
 
 /// Kind of a run and its position in the fitted record, where the runs are put one after the other.
@@ -104,16 +117,12 @@ impl Inference {
         Floor::new(evidence, self.unobserved)
     }
 
-    /// Sentence on the error of the hold-out by lost rows, if it exceeds 0.3 of the noise.
-    pub(crate) fn lost_rows(&self, floor: Floor<'_>) -> Option<String> {
-        (self.unobserved >= 0.3).then(|| {
-            format!(
-                "the commands in the rows that the hold-out lacks are unknown: they alone cause an error of about {:.1} times \
-                 the noise, and up to {:.1} is allowed for; an error below {:.1} times the noise may be due to them alone",
-                self.unobserved,
-                MOST_UNOBSERVED_RATIO * self.unobserved,
-                floor.highest()
-            )
+    /// Error of the hold-out by lost rows and its allowance, if it exceeds 0.3 of the noise.
+    pub(crate) fn lost_rows(&self, floor: Floor<'_>) -> Option<Limit> {
+        (self.unobserved >= 0.3).then(|| Limit::LostRows {
+            expected: self.unobserved,
+            most: MOST_UNOBSERVED_RATIO * self.unobserved,
+            highest: floor.highest(),
         })
     }
 
@@ -125,12 +134,6 @@ impl Inference {
     /// Whether an effect was eligible and these runs can judge it.
     pub(crate) fn is_eligible(&self, id: &str) -> bool {
         self.of(id).is_some_and(|found| found.why_not.is_none())
-    }
-
-    /// Effects that have become superfluous, as the end of a sentence.
-    pub(crate) fn superfluous_in_words(&self) -> String {
-        let end = |end: String, id: &&str| end + "; " + id + " is superfluous now";
-        self.superfluous.iter().fold(String::new(), end)
     }
 
     /// Time and size of an event in each run that has it.
@@ -180,12 +183,10 @@ impl Inference {
     }
 
     /// Why no effect is ruled out, if the linear solution does not hold.
-    pub(crate) fn why_open(&self) -> Option<&'static str> {
-        let cut = "the search reached its limit of work before the set of effects was stable";
-        let far = "the residuals of the best model are several times the noise, so that its bounds do not hold";
+    pub(crate) fn why_open(&self) -> Option<WhyOpen> {
         // Eight ninths of the residual variance are then model error.
         let is_far = self.found.excess > 9.0;
-        self.is_cut().then_some(cut).or(is_far.then_some(far))
+        self.is_cut().then_some(WhyOpen::SearchCut).or(is_far.then_some(WhyOpen::FarFromNoise))
     }
 
     /// Excludes an effect from the named ones; its probability is unchanged.
@@ -196,9 +197,9 @@ impl Inference {
     }
 
     /// Why an effect is not named whatever its probability is.
-    pub(crate) fn veto_of(&self, id: &str) -> Option<&str> {
+    pub(crate) fn veto_of(&self, id: &str) -> Option<VetoReason> {
         let own = self.vetoes.iter().find(|veto| veto.effect == id)?;
-        Some(&own.reason)
+        Some(own.reason)
     }
 
     /// Initial model of a fit with these effects alone: those of the best set with their values, the others in their likeliest
@@ -381,21 +382,12 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
     parts
         .filter(|((own, p), share)| own.is_unknown() && **p > NAMED_PROBABILITY && **share > 0.03)
         .map(|((candidate, probability), share)| {
-            let (equation, follows, axis) = match candidate.id {
-                "torque over angle" => ("torque", "angle_rad", "the angle of the shaft"),
-                "voltage over current" => ("voltage", "current_a", "the current"),
-                _ => ("torque", "speed_rad_s", "the speed"),
+            let (equation, follows, kind) = match candidate.id {
+                "torque over angle" => ("torque", "angle_rad", UnknownKind::TorqueOverAngle),
+                "voltage over current" => ("voltage", "current_a", UnknownKind::VoltageOverCurrent),
+                _ => ("torque", "speed_rad_s", UnknownKind::TorqueOverSpeed),
             };
-            let percent = 100.0 * share;
-            Unknown {
-                equation,
-                follows,
-                probability: *probability,
-                share_of_error: *share,
-                sentence: format!(
-                    "{percent:.0} % of the error: an unknown {equation} that follows {axis}"
-                ),
-            }
+            Unknown { equation, follows, probability: *probability, share_of_error: *share, kind }
         })
         .collect()
 }

@@ -4,16 +4,14 @@
 //! turns or many amperes within one window counts as what it is there. Their adjusted share of the error is compared.
 
 use std::f64::consts::{PI, TAU};
-use std::fmt::Display;
 
 use nalgebra::{DMatrix, DVector};
 
 use super::windows::{Window, Windows, own_keys};
-use super::{ErrorOf, FailureLocation};
+use super::{ErrorForm, ErrorOf, FailureLocation};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::effect::{Axis, table_weights};
 use drivebench_model::plant::{Balance, Model, MotorKey};
-use drivebench_model::text::number::{share, shortest};
 
 /// Hat functions along speed and current, and along time.
 const HATS: usize = 16;
@@ -22,7 +20,7 @@ const HATS_OF_TIME: usize = 24;
 const ORDERS: usize = 36;
 /// Windows (by their weight) in which a wave must be visible.
 const FEWEST_SEEN: f64 = 30.0;
-/// Share of the error that must follow a variable to be worth a sentence, and its multiple of what chance explains.
+/// Share of the error that must follow a variable to be reported, and its multiple of what chance explains.
 const WORTH_MENTIONING_SHARE: f64 = 0.1;
 const BEYOND_CHANCE: f64 = 4.0;
 /// Time explains nothing by itself, and a line hides in every periodic excitation: they are named first only where no
@@ -77,7 +75,7 @@ pub(super) fn ranked(
     found.extend(search.drift());
     found.extend(search.one_way());
     found.sort_by(|a: &Ranked, b| b.weight.total_cmp(&a.weight));
-    // One variable, one sentence: the better form of it.
+    // Of one variable the better form.
     let mut kept: Vec<FailureLocation> = Vec::new();
     for Ranked { location, .. } in found {
         if kept.iter().all(|own| own.variable != location.variable) {
@@ -143,7 +141,7 @@ impl Search<'_> {
         })
     }
 
-    /// Least squares of the error over these rows; `None` where they explain nothing that is worth a sentence.
+    /// Least squares of the error over these rows; `None` where they explain too little to be reported.
     fn fit(&self, rows: &[Vec<f64>]) -> Option<Fit> {
         let columns = rows.first()?.len();
         let mut normal: DMatrix<f64> = DMatrix::zeros(columns, columns);
@@ -200,7 +198,7 @@ impl Search<'_> {
         (fit.follows >= WORTH_MENTIONING_SHARE && fit.strength >= BEYOND_CHANCE).then_some(fit)
     }
 
-    /// How much of the error follows these rows; `None` where that is not worth a sentence.
+    /// How much of the error follows these rows; `None` where that is too little to be reported.
     pub(super) fn followed_share(&self, rows: &[Vec<f64>]) -> Option<f64> {
         self.fit(rows).map(|fit| fit.follows)
     }
@@ -221,7 +219,7 @@ impl Search<'_> {
         region: Region,
         fit: &Fit,
         weight: f64,
-        sentence: String,
+        form: ErrorForm,
     ) -> Ranked {
         let Region { from, to, .. } = region;
         let is_around_zero = region.of_size && region.from_lowest;
@@ -234,38 +232,25 @@ impl Search<'_> {
             share_of_time: region.share_of_time,
             follows: fit.follows,
             strength: fit.strength,
-            sentence,
+            form,
         };
         let weight = weight * fit.adjusted;
         Ranked { location, weight }
     }
 
-    /// "85 % of the torque error ..."
-    fn says(&self, of_error: f64, what: impl Display) -> String {
-        format!("{} of the {} error {what}", share(of_error), self.equation.key())
-    }
-
-    /// "85 % of the torque error lies below 12 rad/s (11 % of the time)"; that it follows the variable, and over which `range`,
-    /// where the region is nearly everything.
-    fn lies(&self, variable: &str, region: &Region, fit: &Fit, range: &str) -> String {
-        let (name, unit) = name_and_unit(variable);
+    /// The range in which most of the error lies along a variable, where it is not nearly everything.
+    fn range(&self, variable: &str, region: &Region) -> ErrorForm {
         if region.share_of_time > NEARLY_ALL_SHARE {
-            return self.says(fit.follows, format_args!("follows the {name}, over {range}"));
+            return ErrorForm::Throughout;
         }
+        let either_way = region.of_size;
         // A drive counts its time from where it was switched on, a person that of a run from its begin.
-        let is_time = variable == "time_s";
-        let begin = if is_time { self.windows.scenario.begin_s() } else { 0.0 };
-        let (from, to) = (figure(region.from - begin), figure(region.to - begin));
-        let unit = if is_time { "s of the run" } else { unit };
-        let place = match (region.from_lowest, region.to_highest) {
-            (true, _) => format!("below {to} {unit}"),
-            (_, true) => format!("above {from} {unit}"),
-            _ => format!("between {from} and {to} {unit}"),
-        };
-        let either = if region.of_size { " in either direction" } else { "" };
-        let time = share(region.share_of_time);
-        let lies = format_args!("lies {place}{either} ({time} of the time)");
-        self.says(region.share_of_error, lies)
+        let begin_s = if variable == "time_s" { self.windows.scenario.begin_s() } else { 0.0 };
+        match (region.from_lowest, region.to_highest) {
+            (true, _) => ErrorForm::Below { either_way, begin_s },
+            (_, true) => ErrorForm::Above { either_way, begin_s },
+            _ => ErrorForm::Between { either_way, begin_s },
+        }
     }
 
     /// Quantiles of a variable over the windows: sharp where the run spent much time.
@@ -299,8 +284,8 @@ impl Search<'_> {
         let rows = self.averaged(values, knots.len(), put);
         let fit = self.fit(&rows)?;
         let region = self.region(&rows, &fit, at)?;
-        let sentence = self.lies(variable, &region, &fit, "its whole range");
-        Some(self.ranked(variable, region, &fit, 1.0, sentence))
+        let form = self.range(variable, &region);
+        Some(self.ranked(variable, region, &fit, 1.0, form))
     }
 
     /// Each of the equation's own parameters alone. A value that was fitted to a whole run is no property of the machine where
@@ -322,27 +307,12 @@ impl Search<'_> {
                 self.region(&rows, &fit, value)?
             };
             let own = model.motor.get(key).filter(|own| own.is_finite());
-            let followed = name_and_unit(variable).0;
-            let (name, unit) = (name_of(key), key.unit());
-            let what = match (error_of, own) {
-                (ErrorOf::Model, Some(own)) => format!(
-                    "follows the {followed}, as {name} {} too {} in the model would make it ({} {unit})",
-                    share((by / own).abs()),
-                    if by > 0.0 { "low" } else { "high" },
-                    figure(by.abs()),
-                ),
-                (ErrorOf::Structure, Some(own)) => format!(
-                    "follows the {followed}: short windows ask for {name} {} {unit}, the fit to the whole run has {}",
-                    figure(own + by),
-                    figure(own)
-                ),
-                (_, None) => format!(
-                    "follows the {followed}, as {name} {} {unit} beside the model's would make it",
-                    figure(by)
-                ),
+            let form = match (error_of, own) {
+                (ErrorOf::Model, Some(own)) => ErrorForm::ModelValue { key, by, own },
+                (ErrorOf::Structure, Some(own)) => ErrorForm::WindowValue { key, by, own },
+                (_, None) => ErrorForm::ValueBeside { key, by },
             };
-            let sentence = self.says(fit.follows, what);
-            Some(self.ranked(variable, region, &fit, PARSIMONY, sentence))
+            Some(self.ranked(variable, region, &fit, PARSIMONY, form))
         };
         keys.filter_map(one).collect()
     }
@@ -356,14 +326,9 @@ impl Search<'_> {
         let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
         // Samples that miss the armature's transient tell that there is a delay, not how long it is.
         let is_resolved = self.windows.period_s < 0.5 * time_constant_s;
-        let by = || format!(" {} ms", figure(1e3 * delay_s.abs()));
-        let by = is_resolved.then(by).unwrap_or_default();
-        let word = if delay_s > 0.0 { "late" } else { "early" };
-        let what =
-            format_args!("follows the steps of the voltage, as if it came{by} {word} (timing)");
-        let sentence = self.says(fit.follows, what);
+        let form = ErrorForm::VoltageTiming { delay_s, is_resolved };
         let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
-        Some(self.ranked("voltage_edge_s", region, &fit, 1.0, sentence))
+        Some(self.ranked("voltage_edge_s", region, &fit, 1.0, form))
     }
 
     /// The order per turn that explains most.
@@ -414,16 +379,8 @@ impl Search<'_> {
         let fit = self.fit(&self.rows(2, |_, row| {
             row.copy_from_slice(each.next().map_or(&[f64::NAN; 2], |waves| &waves[order]));
         }))?;
-        let (unit, amplitude) = (self.equation.unit(), figure(self.amplitude(&fit)));
-        let times = match order {
-            1 => "once".to_owned(),
-            2 => "twice".to_owned(),
-            order => format!("{order} times"),
-        };
-        let what =
-            format_args!("follows the angle: it repeats {times} per turn, with {amplitude} {unit}");
-        let sentence = self.says(fit.follows, what);
-        Some(self.ranked("angle_rad", everywhere(0.0, TAU), &fit, 1.0, sentence))
+        let form = ErrorForm::PerTurn { order, amplitude: self.amplitude(&fit) };
+        Some(self.ranked("angle_rad", everywhere(0.0, TAU), &fit, 1.0, form))
     }
 
     /// Amplitude of a wave that was fitted by its cosine and its sine.
@@ -454,7 +411,7 @@ impl Search<'_> {
         let fit = self.fit(&self.rows(2, |window, row| {
             row.copy_from_slice(&line.wave(window.time_s));
         }))?;
-        let (unit, amplitude) = (self.equation.unit(), figure(self.amplitude(&fit) / line.seen));
+        let form = ErrorForm::Line { amplitude: self.amplitude(&fit) / line.seen };
         // As sharp as the length of the run allows.
         let times = &self.windows.scenario.sample_time_s;
         let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
@@ -462,10 +419,7 @@ impl Search<'_> {
             share_of_error: fit.follows,
             ..everywhere(line.frequency_hz - half_hz, line.frequency_hz + half_hz)
         };
-        let middle = figure(0.5 * (region.from + region.to));
-        let what = format_args!("is a line at {middle} Hz, with {amplitude} {unit}");
-        let sentence = self.says(fit.follows, what);
-        Some(self.ranked("frequency_hz", region, &fit, WEIGHT_OF_LINE, sentence))
+        Some(self.ranked("frequency_hz", region, &fit, WEIGHT_OF_LINE, form))
     }
 
     /// A curve over time: of the equation itself, or of what multiplies its current (voltage) or its direction (torque:
@@ -490,17 +444,13 @@ impl Search<'_> {
         });
         let (rows, fit) = if is_modulated { modulated? } else { plain? };
         let region = self.region(&rows, &fit, at)?;
-        let sentence = if is_modulated && self.equation == Balance::Voltage {
+        let form = if is_modulated && self.equation == Balance::Voltage {
             let ends = [self.own, self.own + knots.len() - 1].map(|end| fit.coefficients[end]);
-            let what = format!(
-                "follows the time, as a resistance that moves by {:+.3} ohm from begin to end would",
-                ends[1] - ends[0]
-            );
-            self.says(fit.follows, what)
+            ErrorForm::ResistanceDrift { by_ohm: ends[1] - ends[0] }
         } else {
-            self.lies("time_s", &region, &fit, "the whole run")
+            self.range("time_s", &region)
         };
-        Some(self.ranked("time_s", region, &fit, WEIGHT_OF_TIME, sentence))
+        Some(self.ranked("time_s", region, &fit, WEIGHT_OF_TIME, form))
     }
 
     /// What is the same in every window.
@@ -511,11 +461,8 @@ impl Search<'_> {
             Balance::Torque => "offset_n_m",
             Balance::Voltage => "offset_v",
         };
-        let (lacks, unit) = (figure(by), self.equation.unit());
-        let what = format_args!("is the same everywhere: {lacks} {unit} are missing in the model");
-        let sentence = self.says(fit.follows, what);
         let region = everywhere(by.min(0.0), by.max(0.0));
-        Some(self.ranked(variable, region, &fit, PARSIMONY, sentence))
+        Some(self.ranked(variable, region, &fit, PARSIMONY, ErrorForm::Offset { by }))
     }
 
     /// Whether nearly all of the error falls in one direction of motion.
@@ -539,13 +486,11 @@ impl Search<'_> {
         {
             return None;
         }
-        let (from, to, word) = if forward { (0.0, 1.0, "forward") } else { (-1.0, 0.0, "reverse") };
+        let (from, to) = if forward { (0.0, 1.0) } else { (-1.0, 0.0) };
         let region = Region { share_of_error: held, share_of_time: time, ..everywhere(from, to) };
         let fit = Fit { follows: held, strength: windows as f64, ..Fit::default() };
-        let time = share(time);
-        let what = format_args!("falls in {word} motion ({time} of the time in motion)");
         // Always after the variables that say more.
-        Some(self.ranked("direction", region, &fit, 0.0, self.says(held, what)))
+        Some(self.ranked("direction", region, &fit, 0.0, ErrorForm::OneWay { forward }))
     }
 }
 
@@ -553,43 +498,6 @@ impl Search<'_> {
 pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
     for (knot, share) in table_weights(Axis::Speed, knots, value) {
         row[knot] += weight * share;
-    }
-}
-
-/// Three digits are what such a place or size carries.
-pub(super) fn figure(value: f64) -> String {
-    shortest(value, 3)
-}
-
-pub(super) const fn name_and_unit(variable: &str) -> (&'static str, &'static str) {
-    match variable.as_bytes() {
-        b"speed_rad_s" => ("speed", "rad/s"),
-        b"current_a" => ("current", "A"),
-        b"voltage_v" => ("voltage", "V"),
-        b"time_s" => ("time", "s"),
-        b"acceleration_rad_s2" => ("acceleration", "rad/s2"),
-        b"current_rate_a_s" => ("rate of the current", "A/s"),
-        b"direction" => ("direction of motion", ""),
-        b"angle_rad" => ("angle", "rad"),
-        b"voltage_edge_s" => ("timing of the voltage", "s"),
-        b"frequency_hz" => ("phase of a line in frequency", ""),
-        // What is the same everywhere follows none.
-        _ => ("", ""),
-    }
-}
-
-pub(super) fn name_of_variable(variable: &str) -> Option<&'static str> {
-    Some(name_and_unit(variable).0).filter(|name| !name.is_empty())
-}
-
-pub(crate) const fn name_of(key: MotorKey) -> &'static str {
-    match key {
-        MotorKey::Resistance => "resistance",
-        MotorKey::Inductance => "inductance",
-        MotorKey::BackEmf => "back-EMF constant",
-        MotorKey::Inertia => "inertia",
-        MotorKey::LoadTorque => "load torque",
-        MotorKey::TorqueConstant => "torque constant",
     }
 }
 

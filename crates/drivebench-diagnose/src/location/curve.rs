@@ -6,22 +6,21 @@
 //! balance: they are what the balance is solved for.
 
 use std::f64::consts::TAU;
-use std::fmt::Write as _;
 use std::ops::RangeInclusive;
 
 use nalgebra::{DMatrix, DVector};
 use serde::Serialize;
 
-use super::axis::{Search, hat, name_and_unit};
+use super::axis::{Search, hat};
 use super::windows::{FEWEST_HALF, Windows, own_keys};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{BLOCK_S, FitError};
+use drivebench_model::findings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
 use drivebench_model::plant::effect::Axis;
 use drivebench_model::plant::{Balance, Input, Model, Scenario};
 use drivebench_model::sample::TWO_SIDED_95;
-use drivebench_model::text::number::{share, significant};
 
 /// Hat functions over speed, current or voltage, and over time.
 const KNOTS: usize = 14;
@@ -66,11 +65,23 @@ pub struct AxisMap {
     /// What is left of the equation's error after its own parameters moved, over what measurement noise alone would leave;
     /// `None` where the noise is not known.
     pub error_over_noise: Option<f64>,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub finding: AxisFinding,
+}
+
+findings! {
+    /// Whether an error follows an axis; `integrated` where the angle was not measured.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum AxisFinding {
+        Followed { integrated: bool } = "error_follows_axis",
+        NotFollowed { integrated: bool } = "error_does_not_follow_axis",
+        Line = "line_in_spectrum",
+        NoLine = "no_line_in_spectrum",
+    }
 }
 
 impl AxisMap {
-    /// Whether so much of the error follows the axis that it is worth a word.
+    /// Whether enough of the error follows the axis to be reported.
     pub fn is_followed(&self) -> bool {
         self.r2 >= FOLLOWS_SHARE
     }
@@ -96,35 +107,6 @@ impl AxisMap {
         let last = (peak + 1..self.knots.len()).take_while(is_as_large).last();
         let [first, last] = [first, last].map(|knot| self.knots[knot.unwrap_or(peak)]);
         Some((first..=last, height))
-    }
-
-    fn sentence_over(&self, axis: Axis, equation: Balance, scenario: &Scenario) -> String {
-        let along = match name_and_unit(self.axis).0 {
-            "angle" if scenario.angle.is_empty() => "angle, integrated from the speed",
-            name => name,
-        };
-        let what = self.equation;
-        if !self.is_followed() {
-            return format!("the {what} error does not follow the {along}");
-        }
-        let mut sentence = format!("{} of the {what} error follows the {along}", share(self.r2));
-        if let Some((place, height)) = self.largest() {
-            // The knots of a time count from the begin of the run already.
-            let across = match axis {
-                Axis::Time => "s of the run",
-                axis => axis.unit(),
-            };
-            let [from, to, height] =
-                [*place.start(), *place.end(), height].map(|v| significant(v, 3));
-            let upwards = equation.unit();
-            let place = if from == to {
-                format!("near {from}")
-            } else {
-                format!("between {from} and {to}")
-            };
-            let _ = write!(sentence, "; it is largest {place} {across}: {height} {upwards}");
-        }
-        sentence
     }
 }
 
@@ -296,7 +278,7 @@ impl Search<'_> {
             values: values.as_slice().to_vec(),
             std: covariance.diagonal().iter().map(deviation).collect(),
             error_over_noise: self.over_noise(&explained),
-            sentence: String::new(),
+            finding: AxisFinding::NotFollowed { integrated: false },
         })
     }
 
@@ -317,7 +299,12 @@ impl Search<'_> {
         };
         let mut map =
             if axis == Axis::Angle { self.turn(&along)? } else { self.hats(axis, &along)? };
-        map.sentence = map.sentence_over(axis, self.equation, scenario);
+        let integrated = axis == Axis::Angle && scenario.angle.is_empty();
+        map.finding = if map.is_followed() {
+            AxisFinding::Followed { integrated }
+        } else {
+            AxisFinding::NotFollowed { integrated }
+        };
         Some(map)
     }
 
@@ -383,21 +370,6 @@ impl Search<'_> {
         // The best of many frequencies explains something of any noise: as many columns more as that is worth.
         let chance = 2.0 * (line.tried as f64).ln().max(0.0);
         let r2 = 1.0 - (1.0 - found.r2) * found.spare / (found.spare - chance);
-        let sentence = if r2 < FOLLOWS_SHARE || !line.is_alone {
-            format!(
-                "no single line stands out in the spectrum of the {} error",
-                self.equation.key()
-            )
-        } else {
-            format!(
-                "{} of the {} error is a line at {} Hz with an amplitude of {} {}",
-                share(r2),
-                self.equation.key(),
-                significant(line.frequency_hz, 3),
-                significant(amplitude, 3),
-                self.equation.unit()
-            )
-        };
         Some(AxisMap {
             equation: self.equation.key(),
             axis: "frequency_hz",
@@ -406,7 +378,11 @@ impl Search<'_> {
             values: vec![amplitude],
             std: vec![variance.max(0.0).sqrt() / line.seen],
             error_over_noise: self.over_noise(&found),
-            sentence,
+            finding: if r2 < FOLLOWS_SHARE || !line.is_alone {
+                AxisFinding::NoLine
+            } else {
+                AxisFinding::Line
+            },
         })
     }
 }

@@ -11,9 +11,7 @@
 
 use std::f64::consts::TAU;
 
-use serde::Serialize;
-
-use super::axis::{Search, name_and_unit};
+use super::axis::Search;
 use super::curve::AxisMap;
 use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use drivebench_identify::noise::NoiseFloor;
@@ -22,7 +20,6 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::effect::{self, Axis, ParameterRole};
 use drivebench_model::plant::{ActiveEffect, Balance, Effect, Input, Model, Scenario};
-use drivebench_model::text::number::{share, significant};
 
 /// Bins of the points, and of the line.
 const BINS: usize = 24;
@@ -43,7 +40,7 @@ const STILL_WINDOWS: usize = 60;
 const WEIGHT_OF_TIME: f64 = 0.85;
 
 /// What lies in one bin of the axis.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurvePoint {
     /// Mean place on the axis.
     pub at: f64,
@@ -55,8 +52,17 @@ pub struct CurvePoint {
     pub count: usize,
 }
 
+/// Why a curve is drawn along its axis, where the effect has none of its own.
+#[derive(Clone, Debug, PartialEq)]
+pub enum AxisReason {
+    /// This share of what the effect does, or of the error, follows it.
+    Share(f64),
+    /// It is an error that no effect explains, as its map has it.
+    Map(Box<AxisMap>),
+}
+
 /// An equation's error along an axis and the effect that is to explain it.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct EffectCurve {
     /// The effect that is drawn; none where there is only the error.
     pub effect: Option<&'static str>,
@@ -67,11 +73,9 @@ pub struct EffectCurve {
     /// `acceleration_rad_s2`, `current_rate_a_s` or `voltage_rate_v_s`.
     pub axis: &'static str,
     pub axis_unit: &'static str,
-    /// The axis in words, without its unit.
-    pub axis_name: String,
-    /// Why this axis, where the effect has none of its own.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub why_axis: Option<String>,
+    /// Of an angle: the equal parts of a turn that are drawn as one.
+    pub periods_per_turn: f64,
+    pub why_axis: Option<AxisReason>,
     /// What the equation lacks without the effect.
     pub points: Vec<CurvePoint>,
     /// What the effect does along the axis, at its size; empty where there is only the error.
@@ -87,54 +91,14 @@ pub struct EffectCurve {
 }
 
 impl EffectCurve {
-    /// What the values are, with their unit.
-    pub fn title(&self) -> String {
-        format!("what the {} equation lacks, {}", self.equation, self.unit)
-    }
-
-    /// The axis with its unit.
-    pub fn axis_label(&self) -> String {
-        format!("{}, {}", self.axis_name, self.axis_unit)
-    }
-
-    /// What is seen, in one sentence.
-    pub fn sentence(&self) -> String {
-        let unit = self.unit;
-        let rms = |value: f64| significant(value, 2);
-        match (self.effect, self.rms_with) {
-            (Some(effect), Some(with)) => format!(
-                "the {} error is {} {unit} without {effect} and {} {unit} with it{}",
-                self.equation,
-                rms(self.rms_without),
-                rms(with),
-                self.beside_noise()
-            ),
-            _ => format!(
-                "the {} error is {} {unit}{}",
-                self.equation,
-                rms(self.rms_without),
-                self.beside_noise()
-            ),
-        }
-    }
-
     /// Whether it is an error that no effect explains, over knots and not over windows of a run.
     pub const fn is_unexplained(&self) -> bool {
         !self.rms_without.is_finite()
-    }
-
-    fn beside_noise(&self) -> String {
-        let unit = self.unit;
-        self.noise.map_or_else(String::new, |noise| {
-            let noise = significant(noise, 2);
-            format!("; noise alone leaves {noise} {unit} (root mean squares of a window)")
-        })
     }
 }
 
 impl From<&AxisMap> for EffectCurve {
     fn from(map: &AxisMap) -> Self {
-        let (name, axis_unit) = name_and_unit(map.axis);
         let points = map.knots.iter().zip(&map.values).enumerate();
         let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
             at: *at,
@@ -147,9 +111,9 @@ impl From<&AxisMap> for EffectCurve {
             equation: map.equation,
             unit: if map.equation == "voltage" { "V" } else { "N.m" },
             axis: map.axis,
-            axis_unit,
-            axis_name: name.to_owned(),
-            why_axis: Some(map.sentence.clone()),
+            axis_unit: Axis::from_key(map.axis).map_or("", Axis::unit),
+            periods_per_turn: 1.0,
+            why_axis: Some(AxisReason::Map(Box::new(map.clone()))),
             points: points.map(point).collect(),
             line: Vec::new(),
             with_it: Vec::new(),
@@ -233,10 +197,12 @@ impl Along {
         }
     }
 
-    fn name_and_unit(self) -> (&'static str, &'static str) {
+    const fn unit(self) -> &'static str {
         match self {
-            Self::VoltageRate => ("rate of the voltage", "V/s"),
-            _ => name_and_unit(self.key()),
+            Self::Axis(axis) => axis.unit(),
+            Self::CurrentRate => "A/s",
+            Self::Acceleration => "rad/s2",
+            Self::VoltageRate => "V/s",
         }
     }
 }
@@ -312,23 +278,16 @@ impl Pairs<'_> {
             (squares / all.len() as f64).sqrt()
         };
         let noise = rms(|at| at.floor);
-        let (name, axis_unit) = along.name_and_unit();
-        let periods = periods_per_turn(active);
-        let axis_name = match along {
-            Along::Axis(Axis::Angle) if periods > 1.0 => {
-                format!("angle in one of {periods} periods of a turn")
-            }
-            _ => name.to_owned(),
-        };
+        let is_angle = along == Along::Axis(Axis::Angle);
         let is_drawn = self.with_it.is_some();
         Some(EffectCurve {
             effect: active.map(ActiveEffect::id),
             equation: equation.key(),
             unit: equation.unit(),
             axis: along.key(),
-            axis_unit,
-            axis_name,
-            why_axis: share_followed.map(|followed| why(active, name, followed)),
+            axis_unit: along.unit(),
+            periods_per_turn: if is_angle { periods_per_turn(active) } else { 1.0 },
+            why_axis: share_followed.map(AxisReason::Share),
             points: points(|at| at.without),
             line: if is_drawn { line(&all, &fine) } else { Vec::new() },
             with_it: if is_drawn { points(|at| at.with) } else { Vec::new() },
@@ -487,19 +446,6 @@ fn candidates(equation: Balance, input: Input, active: Option<&ActiveEffect>) ->
     tried
 }
 
-fn why(active: Option<&ActiveEffect>, axis: &str, followed: f64) -> String {
-    let part = share(followed);
-    match active {
-        Some(active) => format!(
-            "{} is no curve over one axis: drawn along the {axis}, which {part} of what it does follows",
-            active.id()
-        ),
-        None => {
-            format!("no effect is drawn: the error along the {axis}, which {part} of it follows")
-        }
-    }
-}
-
 /// Edges of bins: halfway between as many windows each and even spacing, and one at zero where both signs occur, as much
 /// changes with the direction. The last edge is the end.
 fn edges(all: &[At], bins: usize) -> Vec<f64> {
@@ -655,7 +601,7 @@ mod tests {
         let run = testing::record(&truth, events, 0.001, 5.0, 3);
         let curve = drawn(&truth, "command_delay", &run);
         assert_eq!((curve.equation, curve.axis), ("voltage", "voltage_rate_v_s"));
-        assert!(curve.why_axis.as_ref().unwrap().starts_with("command_delay is no curve"));
+        assert!(matches!(curve.why_axis, Some(AxisReason::Share(_))));
         let far = curve.line.iter().max_by(|a, b| a.0.total_cmp(&b.0)).unwrap();
         let slope_s = far.1 / far.0;
         assert!((slope_s / 0.004 - 1.0).abs() < 0.15, "{slope_s}");
@@ -668,7 +614,7 @@ mod tests {
         let run = testing::record(&truth, events, 0.002, 6.5, 5);
         let curve = drawn(&truth, "cogging", &run);
         assert_eq!(curve.axis, "angle_rad", "{curve:?}");
-        assert!(curve.axis_name.contains("6 periods"), "{}", curve.axis_name);
+        assert!((curve.periods_per_turn - 6.0).abs() < 1e-12, "{curve:?}");
         let places = curve.points.iter().map(|point| point.at);
         assert!(places.fold(0.0, f64::max) < TAU / 6.0);
         let highest = curve.line.iter().map(|at| at.1).fold(0.0, f64::max);

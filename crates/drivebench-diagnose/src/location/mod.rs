@@ -4,7 +4,7 @@
 //! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what
 //!                  |      a change of the motor's own values would explain of it (told, or taken out)
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
-//!                  |           the narrowest range that holds most of it; one sentence each
+//!                  |           the narrowest range that holds most of it
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
 //!                  |-> torque_map  friction over speed, cogging over a turn, for other programs
@@ -26,17 +26,17 @@ mod windows;
 
 use serde::Serialize;
 
-pub use self::curve::{AxisMap, axis_map};
+pub use self::curve::{AxisFinding, AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
-pub use self::effect_curve::{CurvePoint, EffectCurve, effect_curve, error_curve};
+pub use self::effect_curve::{AxisReason, CurvePoint, EffectCurve, effect_curve, error_curve};
 pub use self::leaning::{Leaning, lean};
 pub use self::torque_map::{MapError, MeasuredMap, torque_map};
 
-pub(super) use self::axis::name_of;
-use self::axis::{figure, name_of_variable};
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
+use super::limits::Limit;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
+use drivebench_model::findings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Scenario};
@@ -57,7 +57,57 @@ pub struct FailureLocation {
     pub follows: f64,
     /// Squared error that follows the variable in units of what chance gives: the larger, the more certain.
     pub strength: f64,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub form: ErrorForm,
+}
+
+findings! {
+    /// In which form an error goes with its variable.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum ErrorForm {
+        /// Most of it lies below a value, in either direction where the variable's size counts; times count from `begin_s`.
+        Below { either_way: bool, begin_s: f64 } = "lies_below",
+        Above { either_way: bool, begin_s: f64 } = "lies_above",
+        Between { either_way: bool, begin_s: f64 } = "lies_between",
+        /// Over nearly all that the run reached.
+        Throughout = "follows_throughout",
+        /// As if the motor's value `own` were too low by `by`.
+        ModelValue { key: MotorKey, by: f64, own: f64 } = "model_value_is_off",
+        /// Short windows have `own + by` where the fit to the whole run has `own`.
+        WindowValue { key: MotorKey, by: f64, own: f64 } = "windows_contradict_the_fit",
+        /// The model has no value.
+        ValueBeside { key: MotorKey, by: f64 } = "value_beside_the_model",
+        /// As if the steps of the voltage came later; whether the samples show by how much.
+        VoltageTiming { delay_s: f64, is_resolved: bool } = "voltage_timing",
+        PerTurn { order: usize, amplitude: f64 } = "repeats_per_turn",
+        Line { amplitude: f64 } = "line_in_frequency",
+        /// As a resistance that moves by so much from begin to end.
+        ResistanceDrift { by_ohm: f64 } = "resistance_drifts",
+        Offset { by: f64 } = "same_everywhere",
+        OneWay { forward: bool } = "one_direction_of_motion",
+    }
+}
+
+findings! {
+    /// Whether an equation holds.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum EquationState {
+        #[default]
+        Holds = "equation_holds",
+        /// Its error follows nothing, and no noise is known to compare it with.
+        Unknown = "equation_not_judged",
+        Follows = "equation_fails",
+        FollowsNothing = "equation_fails_along_nothing",
+    }
+}
+
+findings! {
+    /// Two places of which neither is known to be the one.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum Undecided {
+        Equations { equations: [&'static str; 2] } = "equations_fail_alike",
+        Variables { equation: &'static str, variables: [&'static str; 2], follows: [f64; 2] } = "variables_followed_alike",
+    }
 }
 
 /// What one equation lacks altogether.
@@ -86,7 +136,8 @@ pub struct EquationBalance {
     pub refitted: bool,
     /// Whether the located error is more than the noise, and more than the arithmetic.
     pub fails: bool,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub state: EquationState,
 }
 
 /// How far one of the motor's values is from what this equation asks for.
@@ -108,7 +159,7 @@ pub struct Located {
     pub balances: Vec<EquationBalance>,
     pub map: Option<ErrorMap>,
     /// What could not be judged, and why.
-    pub notes: Vec<String>,
+    pub notes: Vec<Limit>,
 }
 
 /// Which error is located.
@@ -147,21 +198,18 @@ pub fn locate(
     let mut found = Located::default();
     let mut windows = Windows::new(model, scenario, noise, FEWEST_HALF)?;
     if let Some(missing) = windows.missing_signal() {
-        found.notes.push(format!(
-            "no {missing} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
-        ));
+        found.notes.push(Limit::NotMeasured { signal: missing });
         return Ok(found);
     }
     for &equation in equations(scenario.input) {
         let usable = windows.of(equation).count();
         if usable < FEWEST_WINDOWS {
-            found.notes.push(format!(
-                "{} equation: {usable} usable windows of {:.0} ms, at least {FEWEST_WINDOWS} are needed to say where it \
-                 fails: record a longer run{}",
-                equation.key(),
-                1e3 * windows.length_s(),
-                if equation == Balance::Torque { " in which the shaft turns" } else { "" }
-            ));
+            found.notes.push(Limit::FewWindows {
+                equation: equation.key(),
+                usable,
+                needed: FEWEST_WINDOWS,
+                length_s: windows.length_s(),
+            });
             continue;
         }
         let mut balance = windows.balance(equation, noise);
@@ -173,17 +221,18 @@ pub fn locate(
         };
         // Without a known noise, what follows nothing may be the noise.
         balance.fails &= balance.nres.is_some() || !axes.is_empty();
-        balance.sentence = balance.in_words(axes.first());
+        balance.state = match (balance.fails, balance.nres.is_some(), axes.is_empty()) {
+            (false, false, _) => EquationState::Unknown,
+            (false, true, _) => EquationState::Holds,
+            (true, _, false) => EquationState::Follows,
+            (true, _, true) => EquationState::FollowsNothing,
+        };
         found.balances.push(balance);
         found.locations.extend(axes);
     }
     rank(&mut found);
     if scenario.angle.is_empty() && !found.balances.is_empty() {
-        found.notes.push(
-            "no angle was measured: it is integrated from the speed and drifts, so that an error that follows the angle \
-             may go unseen"
-                .to_owned(),
-        );
+        found.notes.push(Limit::NoAngle);
     }
     found.map = ErrorMap::of(&windows);
     Ok(found)
@@ -281,55 +330,6 @@ fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
     nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
 }
 
-/// Fall of the error, in multiples of the noise, from which on it is worth a word that the motor's values may move.
-const WORTH_SAYING_NRES: f64 = 0.1;
-
-impl EquationBalance {
-    /// The whole balance as a sentence; `first` is what its error follows most.
-    fn in_words(&self, first: Option<&FailureLocation>) -> String {
-        let name = self.equation;
-        let is_torque = name == Balance::Torque.key();
-        let size = match self.nres {
-            Some(nres) => format!("{nres:.2} times its noise"),
-            None => format!(
-                "{} % of the {} (no noise is known to compare it with)",
-                figure(100.0 * self.relative),
-                if is_torque { "driving torque" } else { "voltage" }
-            ),
-        };
-        let moved = match (self.refitted, self.nres, self.nres_refitted) {
-            (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => {
-                format!(", {after:.2} times where {} may move", self.largest_change())
-            }
-            _ => String::new(),
-        };
-        match (self.fails, first) {
-            (false, _) if self.nres.is_none() => {
-                format!(
-                    "the {name} equation: its error is {size} and follows none of the variables examined"
-                )
-            }
-            (false, _) => format!("the {name} equation holds: its error is {size}{moved}"),
-            (true, Some(first)) => {
-                format!("the {name} equation fails: its error is {size}{moved}; {}", first.sentence)
-            }
-            (true, None) => format!(
-                "the {name} equation fails: its error is {size}{moved} and follows none of the variables examined"
-            ),
-        }
-    }
-
-    /// The parameter that is farthest off, with its move.
-    fn largest_change(&self) -> String {
-        let changes = self.own_changes.iter();
-        let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
-        largest.map_or_else(String::new, |change| {
-            let name = MotorKey::from_key(change.key).map_or("a value", name_of);
-            format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
-        })
-    }
-}
-
 /// Standard deviations within which two figures are alike.
 const ALIKE_SIGMAS: f64 = 2.0;
 
@@ -338,7 +338,7 @@ const ALIKE_SIGMAS: f64 = 2.0;
 pub(super) fn undecided(
     balances: &[EquationBalance],
     locations: &[FailureLocation],
-) -> Option<String> {
+) -> Option<Undecided> {
     let worst = balances.first().filter(|balance| balance.fails)?;
     // Neighbouring windows share half of their samples.
     let apart = |balance: &EquationBalance| 0.5 * balance.windows.max(1) as f64;
@@ -349,10 +349,7 @@ pub(super) fn undecided(
         };
         let ((worse, doubt), (less, other_doubt)) = (size(worst), size(other));
         if worse - less < ALIKE_SIGMAS * doubt.hypot(other_doubt) {
-            return Some(format!(
-                "the {} and the {} equation fail alike: which of them lacks something these runs do not tell",
-                worst.equation, other.equation
-            ));
+            return Some(Undecided::Equations { equations: [worst.equation, other.equation] });
         }
     }
     let mut of_worst = locations.iter().filter(|l| l.equation == worst.equation);
@@ -363,19 +360,10 @@ pub(super) fn undecided(
         2.0 * share.sqrt() * (1.0 - share) / apart(worst).sqrt()
     };
     let both = doubt(first.follows).hypot(doubt(second.follows));
-    let what = |location: &FailureLocation| match name_of_variable(location.variable) {
-        Some(name) => format!("follows the {name}"),
-        None => "is the same everywhere".to_owned(),
-    };
-    ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then(|| {
-        format!(
-            "the {} error {} and {} alike ({:.0} and {:.0} %): which of them these runs do not tell",
-            worst.equation,
-            what(first),
-            what(second),
-            100.0 * first.follows,
-            100.0 * second.follows
-        )
+    ((first.follows - second.follows).abs() < ALIKE_SIGMAS * both).then_some(Undecided::Variables {
+        equation: worst.equation,
+        variables: [first.variable, second.variable],
+        follows: [first.follows, second.follows],
     })
 }
 

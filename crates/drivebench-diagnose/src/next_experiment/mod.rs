@@ -24,6 +24,7 @@ mod separation;
 use serde::Serialize;
 
 use super::evidence::{Evidence, HoldoutFrom};
+use drivebench_model::findings;
 use drivebench_model::numerics::statistics::{largest, median_step};
 use drivebench_model::plant::Scenario;
 
@@ -36,17 +37,54 @@ pub use recommend::{menu_within, next_experiment, recommend};
 pub const SEPARATED: f64 = 150.0;
 
 /// An effect that the recommended run does not show, and what would.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Hidden {
     pub effect: &'static str,
-    pub reason: String,
+    #[serde(rename = "code")]
+    pub reason: HiddenReason,
+}
+
+findings! {
+    /// What would show an effect that the recommended run does not.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum HiddenReason {
+        AnotherRun = "another_run_shows_it",
+        /// A faster change of the voltage than these limits allow.
+        Slew { v_per_s: f64 } = "needs_faster_voltage",
+        Travel { rad: f64 } = "needs_more_travel",
+        Limits { voltage_v: f64, current_a: f64, speed_rad_s: f64, duration_s: f64 } = "needs_wider_limits",
+        /// An excitation that no run of the menu has, as the effect's card names it.
+        Excitation = "needs_other_excitation",
+    }
+}
+
+findings! {
+    /// What is recommended.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub enum Recommendation {
+        /// A run that tells a pair of rivals apart.
+        TellsApart = "tells_rivals_apart",
+        /// No run within the limits does; one with a faster change of the voltage may.
+        CannotTellApart { faster: Option<FasterRun> } = "no_run_tells_rivals_apart",
+        /// A run that shows effects which no run in hand would have shown.
+        Shows = "shows_more_effects",
+        ShowsNothingMore = "no_run_shows_more",
+    }
+}
+
+/// A run that tells rivals apart where the voltage may change faster.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FasterRun {
+    pub slew_v_per_s: f64,
+    pub program: &'static str,
+    pub separation: f64,
 }
 
 /// What to run next, or that no run of this kind will do.
 #[derive(Clone, Debug, Serialize)]
 pub struct NextExperiment {
-    /// For a person: what to run, why, and what it will show.
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub finding: Recommendation,
     /// A complete bench file; filled in where the bench is known, and none where no run will do.
     pub bench: Option<String>,
     /// The rivals; none where an effect is to be shown that the runs in hand did not excite.

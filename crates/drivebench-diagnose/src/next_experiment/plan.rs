@@ -18,8 +18,6 @@ use drivebench_model::sample::Channel;
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recipe {
     pub id: &'static str,
-    /// As it stands in a sentence: "a slow ramp over the full range, through zero".
-    pub name: &'static str,
     pub segments: Vec<Segment>,
     pub slew_v_per_s: f64,
 }
@@ -210,8 +208,8 @@ impl Reach {
         ])
     }
 
-    /// Id, name, how fast the voltage may change, and the parts of each run of the menu.
-    fn menu(&self) -> [(&'static str, &'static str, Change, Vec<Segment>); COUNT] {
+    /// Id, how fast the voltage may change, and the parts of each run of the menu.
+    fn menu(&self) -> [(&'static str, Change, Vec<Segment>); COUNT] {
         let full_v = self.full_v;
         let hard = [1.0, -1.0, 1.0, 0.0, -1.0, 0.0, 0.5, -0.5, 0.0];
         let hard_s = self.arrival_s(2.0).max(0.2) + 0.15;
@@ -227,82 +225,30 @@ impl Reach {
             Segment::Sine(Sine { amplitude_v: self.creep_v, frequency_hz: 0.4, seconds: 7.5 });
         let levels_s = self.arrival_s(0.4).max(10.0 * self.period_s);
         [
-            (
-                "rich",
-                "the rich sequence (steps, slow ramp, pseudo-random levels and sine, both ways)",
-                Change::Slewed,
-                rich(full_v, self.slew_v_per_s, 1),
-            ),
-            (
-                "slow_ramp",
-                "a slow ramp over the full range, through zero",
-                Change::Slewed,
-                self.slow_ramp(),
-            ),
-            (
-                "fast_dither",
-                "a fast dither about zero volts",
-                Change::Quick,
-                self.behind_rest(&dither),
-            ),
-            (
-                "hard_cycling",
-                "hard accelerating and braking, both ways",
-                Change::Slewed,
-                self.behind_rest(&[steps(full_v, &hard, hard_s)]),
-            ),
-            (
-                "staircase",
-                "long holds at several speeds, both ways",
-                Change::Slewed,
-                self.behind_rest(&[steps(full_v, &stairs, stairs_s)]),
-            ),
-            (
-                "slow_sine",
-                "a slow sine through zero",
-                Change::Slewed,
-                self.behind_rest(&[slow_sine]),
-            ),
-            ("standstill", "a standstill reading", Change::Slewed, vec![standstill(4.0)]),
-            (
-                "heat_and_repeat",
-                "a first part that is repeated after heating the winding",
-                Change::Slewed,
-                self.heat_and_repeat(),
-            ),
+            ("rich", Change::Slewed, rich(full_v, self.slew_v_per_s, 1)),
+            ("slow_ramp", Change::Slewed, self.slow_ramp()),
+            ("fast_dither", Change::Quick, self.behind_rest(&dither)),
+            ("hard_cycling", Change::Slewed, self.behind_rest(&[steps(full_v, &hard, hard_s)])),
+            ("staircase", Change::Slewed, self.behind_rest(&[steps(full_v, &stairs, stairs_s)])),
+            ("slow_sine", Change::Slewed, self.behind_rest(&[slow_sine])),
+            ("standstill", Change::Slewed, vec![standstill(4.0)]),
+            ("heat_and_repeat", Change::Slewed, self.heat_and_repeat()),
             (
                 "random_levels",
-                "pseudo-random levels of both signs",
                 Change::Slewed,
                 self.behind_rest(&[random(0.6 * full_v, levels_s, 6.0, 3, 7)]),
             ),
-            (
-                "steady_hold",
-                "a steady hold at one speed",
-                Change::Slewed,
-                self.behind_rest(&[steps(full_v, &[0.5], 4.0)]),
-            ),
-            (
-                "current_reversals",
-                "quick reversals of the current at rest",
-                Change::Quick,
-                self.current_reversals(),
-            ),
-            (
-                "dither_at_speed",
-                "a fast dither at rest and at speed, both ways",
-                Change::Quick,
-                self.dither_at_speed(),
-            ),
+            ("steady_hold", Change::Slewed, self.behind_rest(&[steps(full_v, &[0.5], 4.0)])),
+            ("current_reversals", Change::Quick, self.current_reversals()),
+            ("dither_at_speed", Change::Quick, self.dither_at_speed()),
         ]
     }
 
     /// Recipe `index` of the menu.
     fn recipe(&self, index: usize) -> Recipe {
-        let (id, name, change, segments) = self.menu()[index].clone();
+        let (id, change, segments) = self.menu()[index].clone();
         Recipe {
             id,
-            name,
             segments: segments.into_iter().map(tidy).collect(),
             slew_v_per_s: figures(match change {
                 Change::Slewed => self.slew_v_per_s,

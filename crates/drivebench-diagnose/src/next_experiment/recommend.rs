@@ -5,12 +5,13 @@ use rayon::prelude::*;
 use super::plan::{COUNT, Planned, Recipe, planned};
 use super::reveal::reveal;
 use super::separation::{Response, Rival, refitted};
-use super::{ExperimentLimits, MenuEntry, NextExperiment, PairEntry, SEPARATED};
+use super::{
+    ExperimentLimits, FasterRun, MenuEntry, NextExperiment, PairEntry, Recommendation, SEPARATED,
+};
 use crate::{Diagnosis, Evidence};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
-use drivebench_model::plant::{Input, Model, Scenario, effect};
-use drivebench_model::text::number::significant;
+use drivebench_model::plant::{Input, Model, Scenario};
 
 /// Pairs that one run is to tell apart.
 const MOST_PAIRS: usize = 3;
@@ -274,13 +275,7 @@ fn tell_apart(
         return Ok(None);
     };
     let plan = &tried[chosen].plan;
-    // The name of a recipe in a sentence.
-    let name_of = |program: &str| {
-        let mut all = tried.iter().map(|tried| &tried.plan.recipe);
-        let recipe = all.find(|recipe| recipe.id == program);
-        recipe.map_or("", |recipe| recipe.name)
-    };
-    let mut sentence = pairs_in_words(plan, &pairs, name_of);
+    let mut faster = None;
     if !separable && limits.slew_v_per_s.is_finite() {
         let free = ExperimentLimits { slew_v_per_s: f64::INFINITY, ..*limits };
         // What does not change any faster then has been tried.
@@ -290,17 +285,27 @@ fn tell_apart(
             let quicker = &freely[quicker];
             let largest = separations.iter().copied().fold(0.0, f64::max);
             if largest >= quicker.needed {
-                sentence.push_str(&with_more_slew(&quicker.plan, largest));
+                let recipe = &quicker.plan.recipe;
+                faster = Some(FasterRun {
+                    slew_v_per_s: recipe.slew_v_per_s,
+                    program: recipe.id,
+                    separation: largest,
+                });
             }
         }
     }
+    let finding = if separable {
+        Recommendation::TellsApart
+    } else {
+        Recommendation::CannotTellApart { faster }
+    };
     let entry = |tried: &Tried| MenuEntry {
         program: tried.plan.recipe.id,
         expected_separation: smallest(&tried.separations),
         needed: tried.needed,
     };
     Ok(Some(NextExperiment {
-        sentence,
+        finding,
         bench: None,
         pair: Some(first.pair),
         reveals: Vec::new(),
@@ -323,73 +328,4 @@ fn merit(separations: &[f64], needed: f64) -> f64 {
 
 fn smallest(separations: &[f64]) -> f64 {
     separations.iter().copied().fold(f64::INFINITY, f64::min)
-}
-
-// A recommendation in words for a person.
-
-/// For pairs of rivals with their separations in this run; `program` names a run of the menu.
-fn pairs_in_words(
-    plan: &Planned,
-    pairs: &[PairEntry],
-    program: impl Fn(&str) -> &'static str,
-) -> String {
-    let mut sentences = Vec::new();
-    let (told, hidden): (Vec<_>, Vec<_>) = pairs.iter().partition(|pair| pair.is_told());
-    if let Some(first) = told.first() {
-        let rivals: Vec<String> = told
-            .iter()
-            .map(|told| {
-                let [a, b] = told.pair.map(name);
-                let separation = figure(told.expected_separation);
-                format!("{a} from {b} (separation {separation})")
-            })
-            .collect();
-        sentences.push(format!(
-            "run {}: it tells {}; {} would do",
-            described(plan),
-            rivals.join(" and "),
-            figure(first.needed)
-        ));
-    }
-    for entry in hidden {
-        let [a, b] = entry.pair.map(name);
-        let run = program(entry.best_program);
-        let (best, needed) = (figure(entry.best_separation), figure(entry.best_needed));
-        sentences.push(if entry.best_separation >= entry.best_needed {
-            format!("{a} and {b} need another run after it: {run} (separation {best})")
-        } else {
-            format!(
-                "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation \
-                 of {best} at most, {needed} are needed"
-            )
-        });
-    }
-    sentences.join("; ")
-}
-
-/// What would be possible if the bench let the voltage change faster.
-fn with_more_slew(plan: &Planned, separation: f64) -> String {
-    format!(
-        "; with limits.slew_v_per_s = {} in the bench file, {} would (separation {})",
-        plan.recipe.slew_v_per_s,
-        plan.recipe.name,
-        figure(separation)
-    )
-}
-
-pub(super) fn described(plan: &Planned) -> String {
-    let peaks = &plan.peaks;
-    format!(
-        "{} ({:.1} s, up to {:.0} V, {:.1} A and {:.0} rad/s)",
-        plan.recipe.name, peaks.duration_s, peaks.voltage_v, peaks.current_a, peaks.speed_rad_s
-    )
-}
-
-pub(super) fn name(id: &'static str) -> &'static str {
-    effect::find(id).map_or(id, |effect| effect.card().name)
-}
-
-/// Two figures are all that a prediction deserves.
-fn figure(value: f64) -> String {
-    significant(value, 2)
 }

@@ -3,8 +3,7 @@
 use rayon::prelude::*;
 
 use super::plan::{COUNT, Planned, planned};
-use super::recommend::{described, name};
-use super::{ExperimentLimits, Hidden, MenuEntry, NextExperiment};
+use super::{ExperimentLimits, Hidden, HiddenReason, MenuEntry, NextExperiment, Recommendation};
 use crate::joint::answer::eligible;
 use crate::joint::expected_information::{DETECTS, ExpectedInformation};
 use crate::{Diagnosis, DiagnosisVerdict, Evidence, Status};
@@ -15,8 +14,6 @@ use drivebench_model::plant::{ActiveEffect, Effect, Model, Scenario, effect, typ
 const PROMISED: f64 = 2.0 * DETECTS;
 /// Factor by which a limit is lifted to see whether it is in the way.
 const LIFTED: f64 = 2.0;
-/// Names of a list that are said; the rest is counted.
-const MOST_NAMES: usize = 4;
 
 /// A run of the menu and what it would show of each effect that the runs in hand do not, in their order.
 struct Tried {
@@ -98,22 +95,18 @@ impl Question<'_> {
         let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.promises(place));
         let alone: Vec<usize> = left.iter().copied().filter(|p| !shows(tried, *p)).collect();
         // What limits are in the way of is worked out only where no run is left: it takes a menu for each of them.
-        let lifted: Vec<(String, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0) {
+        let lifted: Vec<(HiddenReason, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0) {
             Vec::new()
         } else {
             let lifted = lifted(limits).into_iter();
-            lifted.map(|(words, limits)| (words, self.tried(&limits))).collect()
+            lifted.map(|(reason, limits)| (reason, self.tried(&limits))).collect()
         };
         let reason = |place: usize| {
             if !alone.contains(&place) {
-                return "another run after it shows it".to_owned();
+                return HiddenReason::AnotherRun;
             }
             let in_the_way = lifted.iter().find(|(_, tried)| shows(tried, place));
-            let effect = effect::find(self.undetected[place]);
-            in_the_way.map_or_else(
-                || effect.map_or_else(String::new, |effect| effect.card().excite.to_owned()),
-                |(words, _)| words.clone(),
-            )
+            in_the_way.map_or(HiddenReason::Excitation, |(reason, _)| *reason)
         };
         let hidden = left
             .into_iter()
@@ -122,22 +115,16 @@ impl Question<'_> {
     }
 }
 
-/// The same limits, each with one of them lifted, in words.
-fn lifted(limits: &ExperimentLimits) -> Vec<(String, ExperimentLimits)> {
+/// The same limits with some of them lifted, and what that shows to be in the way.
+fn lifted(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
     let mut all = Vec::new();
     if limits.slew_v_per_s.is_finite() {
-        let words = format!(
-            "not with {:.0} V/s: needs a faster change of the voltage",
-            limits.slew_v_per_s
-        );
-        let slew_v_per_s = f64::INFINITY;
-        let limits = ExperimentLimits { slew_v_per_s, ..*limits };
-        all.push((words, limits));
+        let reason = HiddenReason::Slew { v_per_s: limits.slew_v_per_s };
+        all.push((reason, ExperimentLimits { slew_v_per_s: f64::INFINITY, ..*limits }));
     }
     if let Some(travel_rad) = limits.travel_rad {
-        let words = format!("not within {travel_rad:.1} rad: needs more travel");
-        let limits = ExperimentLimits { travel_rad: None, ..*limits };
-        all.push((words, limits));
+        let reason = HiddenReason::Travel { rad: travel_rad };
+        all.push((reason, ExperimentLimits { travel_rad: None, ..*limits }));
     }
     let more = ExperimentLimits {
         voltage_v: LIFTED * limits.voltage_v,
@@ -147,11 +134,9 @@ fn lifted(limits: &ExperimentLimits) -> Vec<(String, ExperimentLimits)> {
         duration_s: LIFTED * limits.duration_s,
         ..*limits
     };
-    let words = format!(
-        "not within {:.0} V, {:.1} A, {:.0} rad/s and {:.0} s: needs more",
-        limits.voltage_v, limits.current_a, limits.speed_rad_s, limits.duration_s
-    );
-    all.push((words, more));
+    let ExperimentLimits { voltage_v, current_a, speed_rad_s, duration_s, .. } = *limits;
+    let reason = HiddenReason::Limits { voltage_v, current_a, speed_rad_s, duration_s };
+    all.push((reason, more));
     all
 }
 
@@ -203,7 +188,7 @@ pub(super) fn reveal(
     let menu = menu.collect();
     let best = tried.first().filter(|best| best.count() > 0);
     let nothing = || NextExperiment {
-        sentence: nothing_in_words(&hidden),
+        finding: Recommendation::ShowsNothingMore,
         bench: None,
         pair: None,
         pairs: Vec::new(),
@@ -223,7 +208,7 @@ pub(super) fn reveal(
         places.iter().map(|place| question.undetected[*place]).collect();
     let weakest = places.iter().map(|place| best.information[*place]);
     Some(NextExperiment {
-        sentence: reveals_in_words(&best.plan, &reveals, &hidden),
+        finding: Recommendation::Shows,
         expected_separation: weakest.fold(f64::INFINITY, f64::min),
         peaks: Some(best.plan.peaks),
         recipe: Some(best.plan.recipe.clone()),
@@ -241,30 +226,4 @@ fn with_typical(model: &Model, id: &str, evidence: &Evidence) -> Option<Model> {
     model.effects.push(ActiveEffect::with(effect, &values));
     model.require_complete().ok()?;
     Some(model)
-}
-
-fn reveals_in_words(plan: &Planned, shown: &[&'static str], hidden: &[Hidden]) -> String {
-    let sentence = format!(
-        "these runs would not have shown {}; run {}",
-        list(shown.iter().map(|id| name(id).to_owned())),
-        described(plan)
-    );
-    if hidden.is_empty() {
-        return sentence;
-    }
-    let hidden = hidden.iter().map(|own| name(own.effect).to_owned());
-    format!("{sentence}; it still does not show {}", list(hidden))
-}
-
-fn nothing_in_words(hidden: &[Hidden]) -> String {
-    let hidden = hidden.iter();
-    let words = hidden.map(|own| format!("{} ({})", name(own.effect), own.reason));
-    format!("no further run within the limits would show more; not shown: {}", list(words))
-}
-
-fn list(names: impl ExactSizeIterator<Item = String>) -> String {
-    let more = names.len().saturating_sub(MOST_NAMES);
-    let said: Vec<String> = names.take(MOST_NAMES).collect();
-    let said = said.join(", ");
-    if more > 0 { format!("{said} and {more} more") } else { said }
 }

@@ -22,7 +22,9 @@ use nalgebra::{DMatrix, DVector};
 pub use self::processing::{Motion, Processing};
 
 use self::processing::{Measured, Part, filter, gridded, rate, spanned};
-use super::balance::{self, Column, Method, Signals, TorqueRows, Unknown, as_ratio, scored_s};
+use super::balance::{
+    self, Column, Derivation, Method, Signals, TorqueRows, Unknown, as_ratio, scored_s,
+};
 use super::output_error::BLOCK_S;
 use super::verdict::judge;
 use drivebench_model::numerics::count::whole;
@@ -567,10 +569,11 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     };
     Some(TorqueRows {
         method: Method::InverseDynamics,
-        sentence: processing.sentence_with(&format!(
-            "then at {:.3} Hz, as for one row in {}; every row in motion",
-            decimating.cut_off_hz, decimating.decimation
-        )),
+        derivation: Derivation::InverseDynamics {
+            then_hz: decimating.cut_off_hz,
+            one_in: decimating.decimation,
+            processing: Box::new(processing),
+        },
         at,
         begin_s: scenario.begin_s(),
         time_s,

@@ -12,7 +12,7 @@ use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::signal;
 
 /// The processing of both sides of a balance.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Processing {
     pub motion: Motion,
     pub order: usize,
@@ -95,7 +95,7 @@ impl Processing {
     }
 
     /// The same with another choice of rows.
-    pub(super) fn sentence_with(&self, rows: &str) -> String {
+    pub fn sentence_with(&self, rows: &str) -> String {
         let speed = match self.motion {
             Motion::Speed => "measured speed",
             Motion::Angle => "speed and acceleration as central differences of the filtered angle",

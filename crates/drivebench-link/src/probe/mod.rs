@@ -11,7 +11,7 @@ mod mapped;
 mod own;
 mod report;
 
-pub use report::{ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
+pub use report::{ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
 
 use super::link::Result;
 use super::modbus::RawClient;

@@ -6,6 +6,7 @@ use crate::link::Identity;
 use crate::modbus::RawCounters;
 use crate::profile::DriveProfile;
 use crate::register_map::{Candidate, Hypothesis};
+use drivebench_model::findings;
 
 /// Verdict of the readings on the profile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -21,13 +22,30 @@ pub enum ProbeVerdict {
     WrongDrive,
 }
 
+findings! {
+    /// What the verdict rests on.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    pub enum ProbeFinding {
+        OtherIdentity { check: String, found: String } = "identity_check_failed",
+        /// The drive has none of the registers of a built-in profile.
+        NoRegister = "has_no_register_of_the_profile",
+        /// The drive reports that it runs, or its status word is read wrongly.
+        Runs = "drive_reports_that_it_runs",
+        NothingJudged = "no_reading_can_be_judged",
+        /// All of so many readings are those of a drive at rest.
+        AtRest { judged: usize } = "readings_of_a_drive_at_rest",
+        NotAtRest { judged: usize, wrong: Vec<String> } = "readings_of_no_drive_at_rest",
+    }
+}
+
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ProbeReport {
     pub profile: String,
     /// Which drive the profile is of, how far it may be believed, and its source.
     pub provenance: String,
     pub verdict: ProbeVerdict,
-    pub sentence: String,
+    #[serde(rename = "code")]
+    pub finding: ProbeFinding,
     /// Vendor, product and revision as the unit gives them (function code 43).
     pub names: Vec<String>,
     /// Whether a number comes back (function code 08); null over the stream.
@@ -101,7 +119,7 @@ impl ProbeReport {
             profile: profile.name.clone(),
             provenance: profile.provenance(),
             verdict: ProbeVerdict::Plausible,
-            sentence: String::new(),
+            finding: ProbeFinding::NothingJudged,
             names: Vec::new(),
             answers_function_8: None,
             identity: None,
@@ -132,40 +150,27 @@ impl ProbeReport {
             state.is_some_and(|state| state.holds == Some(true))
         };
         let signals = || self.signals.iter();
-        let wrong: Vec<&str> = signals()
+        let wrong: Vec<String> = signals()
             .filter(|signal| signal.plausible == Some(false))
-            .map(|signal| signal.name.as_str())
+            .map(|signal| signal.name.clone())
             .collect();
         let judged = signals().filter(|s| s.plausible.is_some()).count();
         let confirmed = signals().filter(|s| s.confirms).count();
-        let profile = &self.profile;
-        let (verdict, sentence) = if let Some(ProbedCheck { what, found, .. }) = failed {
-            let sentence = format!("{profile}: {what} (found {found})");
-            (ProbeVerdict::WrongDrive, sentence)
+        let (verdict, finding) = if let Some(ProbedCheck { what, found, .. }) = failed {
+            let finding = ProbeFinding::OtherIdentity { check: what.clone(), found: found.clone() };
+            (ProbeVerdict::WrongDrive, finding)
         } else if self.is_unknown_everywhere && self.is_built_in {
-            let sentence =
-                format!("{profile}: the drive has none of the registers of this built-in profile");
-            (ProbeVerdict::WrongDrive, sentence)
+            (ProbeVerdict::WrongDrive, ProbeFinding::NoRegister)
         } else if holds("running") {
-            let sentence = "the drive reports that it runs, so its readings cannot be judged at rest; or its status word is read wrongly";
-            (ProbeVerdict::Implausible, sentence.to_owned())
+            (ProbeVerdict::Implausible, ProbeFinding::Runs)
         } else if judged == 0 {
-            let sentence = "no reading can be judged, so nothing shows that the profile fits";
-            (ProbeVerdict::Unjudged, sentence.to_owned())
+            (ProbeVerdict::Unjudged, ProbeFinding::NothingJudged)
         } else if wrong.is_empty() {
-            let sentence = format!(
-                "{judged} of {judged} readings that can be judged are those of a drive at rest"
-            );
-            (ProbeVerdict::Plausible, sentence)
+            (ProbeVerdict::Plausible, ProbeFinding::AtRest { judged })
         } else {
-            let sentence = format!(
-                "{} of {judged} readings that can be judged are not those of a drive at rest: {}",
-                wrong.len(),
-                wrong.join(", ")
-            );
-            (ProbeVerdict::Implausible, sentence)
+            (ProbeVerdict::Implausible, ProbeFinding::NotAtRest { judged, wrong })
         };
-        (self.verdict, self.sentence) = (verdict, sentence);
+        (self.verdict, self.finding) = (verdict, finding);
         if verdict == ProbeVerdict::Plausible && confirmed == 0 {
             self.remarks.push(
                 "every one of them is about zero, and so is a register that means something else: nothing confirms addresses and word order until the shaft turns"
@@ -229,19 +234,18 @@ mod tests {
         let (wrong, zero) = (("bus", Some(false), false), ("speed", Some(true), false));
         let bus = ("bus", Some(true), true);
         let cases: [Case<'_>; 8] = [
-            (&[wrong, zero], Some(false), none, Implausible, "1 of 2"),
-            (&[zero], Some(false), none, Plausible, "1 of 1"),
-            (&[bus], None, none, Plausible, "1 of 1"),
-            (&[("speed", None, false)], Some(false), none, Unjudged, "no reading"),
-            (&[wrong], None, unknown, WrongDrive, "has none of the registers"),
-            (&[wrong], None, unknown_new, Implausible, "1 of 1"),
-            (&[bus], Some(true), none, Implausible, "reports that it runs"),
-            (&[bus], Some(true), failed, WrongDrive, "0x0007"),
+            (&[wrong, zero], Some(false), none, Implausible, "readings_of_no_drive_at_rest"),
+            (&[zero], Some(false), none, Plausible, "readings_of_a_drive_at_rest"),
+            (&[bus], None, none, Plausible, "readings_of_a_drive_at_rest"),
+            (&[("speed", None, false)], Some(false), none, Unjudged, "no_reading_can_be_judged"),
+            (&[wrong], None, unknown, WrongDrive, "has_no_register_of_the_profile"),
+            (&[wrong], None, unknown_new, Implausible, "readings_of_no_drive_at_rest"),
+            (&[bus], Some(true), none, Implausible, "drive_reports_that_it_runs"),
+            (&[bus], Some(true), failed, WrongDrive, "identity_check_failed"),
         ];
-        for (signals, running, change, verdict, part) in cases {
+        for (signals, running, change, verdict, code) in cases {
             let report = judged(signals, running, change);
-            assert_eq!(report.verdict, verdict, "{}", report.sentence);
-            assert!(report.sentence.contains(part), "{}", report.sentence);
+            assert_eq!((report.verdict, report.finding.code()), (verdict, code), "{report:?}");
             // Zeros alone confirm nothing.
             let warns = report.remarks.iter().any(|text| text.contains("about zero"));
             assert_eq!(warns, signals == [zero], "{:?}", report.remarks);

@@ -42,6 +42,17 @@ impl MotorKey {
         self.names().1
     }
 
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Resistance => "resistance",
+            Self::Inductance => "inductance",
+            Self::BackEmf => "back-EMF constant",
+            Self::TorqueConstant => "torque constant",
+            Self::Inertia => "inertia",
+            Self::LoadTorque => "load torque",
+        }
+    }
+
     pub const fn is_electrical(self) -> bool {
         matches!(self, Self::Resistance | Self::Inductance | Self::BackEmf | Self::TorqueConstant)
     }

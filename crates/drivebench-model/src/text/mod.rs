@@ -5,10 +5,12 @@
 //! sentence, width ------------------> lines ---> rows that fit      screen, card in the terminal, row of a table
 //! rows of cells --------------------> columns -> cells of one width  table in the terminal and in Markdown
 //! word ----------------------------> shell --> as a command takes it
+//! finding -------------------------> codes --> its code in JSON
 //! ```
 //!
 //! Files for programs (CSV, JSON, model files) have all digits and are written by other modules.
 
+pub mod codes;
 pub mod columns;
 pub mod lines;
 pub mod number;

@@ -10,6 +10,7 @@ use super::{Case, Group};
 use drivebench::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use drivebench::emulator::truth::MotorTruth;
 use drivebench::plant::{Model, Slot};
+use drivebench::report::wording::diagnosis as words;
 use drivebench::sample::ParameterEstimate;
 use drivebench::workflow::ORDER;
 
@@ -89,7 +90,7 @@ impl Answer {
             holdout_after: Some(diagnosis.holdout_after),
             findings: findings(truths, &claims.orders, diagnosis),
             parameters: parameters_of(motor, diagnosis),
-            ..Self::failed(case, diagnosis.sentence.clone())
+            ..Self::failed(case, words::diagnosis(diagnosis))
         }
     }
 

@@ -16,6 +16,7 @@ use drivebench::emulator::mystery::{Truth, draw};
 use drivebench::identification::speed_from_angle;
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
 use drivebench::recording::{ColumnMap, open_run};
+use drivebench::report::wording::diagnosis as words;
 use drivebench::sample::Verdict;
 use drivebench::workflow::{ORDER, sizes};
 
@@ -200,7 +201,7 @@ fn answer(record: &Record, folder: &Path) -> RecordAnswer {
         holdout_before: error(|found| found.holdout_before),
         holdout_after: error(|found| found.holdout_after),
         effects: effects.unwrap_or_default(),
-        sentence: found.map_or_else(|reason| reason, |found| found.sentence),
+        sentence: found.map_or_else(|reason| reason, |found| words::diagnosis(&found)),
     }
 }
 

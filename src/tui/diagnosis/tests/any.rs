@@ -38,7 +38,6 @@ fn state() -> impl Strategy<Value = State> {
             };
             let mut answer = diagnosis();
             answer.verdict = verdict;
-            answer.sentence.clone_from(&words);
             answer.holdout_before = numbers[0];
             for (candidate, number) in answer.candidates.iter_mut().zip(&numbers) {
                 candidate.explained_percent = Some(*number);

@@ -84,7 +84,7 @@ fn a_true_model_leaves_nothing_that_follows_an_axis() {
             for map in &found {
                 // Some 400 windows that overlap: by chance up to three times the spread of 0.015.
                 assert!(map.r2 < 0.06, "{seed} {period_s}: {map:?}");
-                assert!(!map.sentence.contains("% of"), "{map:?}");
+                assert!(!map.is_followed() && map.finding != AxisFinding::Line, "{map:?}");
             }
             all.extend(found.iter().map(|map| map.r2));
         }
@@ -174,8 +174,6 @@ fn times_count_from_the_begin_of_a_run_whenever_it_was_recorded() {
     });
     let (place, _) = first.largest().unwrap();
     assert!((6.0..10.0).contains(place.start()), "{place:?}");
-    assert!(first.sentence.contains(" s of the run: "), "{first:?}");
-    assert_eq!(first.sentence, again.sentence);
     let apart = first.knots.iter().zip(&again.knots);
     assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
 }

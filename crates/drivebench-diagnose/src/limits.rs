@@ -1,0 +1,91 @@
+//! What runs cannot answer, and why.
+
+use drivebench_identify::balance::Derivation;
+use drivebench_model::findings;
+
+findings! {
+    #[derive(Clone, Debug, PartialEq)]
+    pub enum Limit {
+        RunsSetAside(SetAside) = "runs_set_aside",
+        /// No effect is named by a hold-out in which neither speed nor current changes.
+        HoldoutStill = "holdout_still",
+        /// The judgement does without a measured signal.
+        SignalUnjudged { signal: &'static str, why: Unjudged } = "signal_not_judged",
+        /// Only parts of long runs were searched; whether what comes behind them confirms the answer.
+        PartSearched { parts: Vec<SearchedPart>, rest_confirms: bool } = "only_part_searched",
+        TorqueBalance { derivation: Derivation } = "errors_of_torque_balance",
+        /// Share of the noise that the commands of lost rows make of the error on the average, and at most; the highest error
+        /// that may be all theirs.
+        LostRows { expected: f64, most: f64, highest: f64 } = "lost_rows",
+        NothingRuledOut(WhyOpen) = "nothing_ruled_out",
+        RepeatUnknown(RepeatUnknown) = "repeatability_unknown",
+        NoNoiseFloor = "no_noise_floor",
+        /// The held-out part is this share of the run itself.
+        NoOtherRun { share: f64 } = "no_other_run_held_out",
+        NotMeasured { signal: &'static str } = "signal_not_measured",
+        FewWindows { equation: &'static str, usable: usize, needed: usize, length_s: f64 } = "too_few_windows",
+        /// An error that follows the angle may go unseen.
+        NoAngle = "angle_not_measured",
+    }
+}
+
+/// Runs behind the first one that cannot be fitted with these effects.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SetAside {
+    pub later: Vec<String>,
+    pub effects: Vec<&'static str>,
+    pub first: String,
+}
+
+/// Why a measured signal has no part in the judgement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Unjudged {
+    OnlyInHoldout,
+    NotInHoldout,
+    Constant,
+    FewAtRest { samples: usize, needed: usize },
+    FewRepeated { needed: usize },
+    NothingLeft,
+}
+
+/// The part of a long run that was searched, in seconds and rows from its begin.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SearchedPart {
+    pub run: LongRun,
+    pub from_s: f64,
+    pub to_s: f64,
+    pub whole_s: f64,
+    pub rows: usize,
+    pub of_rows: usize,
+}
+
+/// Which run it is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum LongRun {
+    Fit,
+    Holdout,
+    Repeat,
+    /// The only one, a part of which is held out.
+    Only,
+    /// One of several that are fitted.
+    Named(String),
+}
+
+findings! {
+    /// Why no effect is ruled out.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum WhyOpen {
+        SearchCut = "search_ended_by_budget",
+        /// The best model leaves several times the noise, so that bounds by it do not hold.
+        FarFromNoise = "several_times_the_noise_left",
+    }
+}
+
+/// Why it is not known whether a machine repeats.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum RepeatUnknown {
+    NotFollowed,
+    RowsLost,
+    /// A fit failed, with its message.
+    Failed(String),
+}

@@ -1,0 +1,262 @@
+//! One candidate effect: what the runs show of it, its size, when it happened, why it is not named.
+
+use super::limits::{HOLDOUT_STILL, why_open};
+use super::times;
+use drivebench_diagnose::{
+    Candidate, CandidateFinding, HoldoutFrom, Onset, Peak, RunOf, Status, VetoReason,
+    WhyUnexplained,
+};
+use drivebench_model::plant::{Effect, effect};
+use drivebench_model::text::number::{probability, significant, with_std, with_unit};
+
+/// Factor from which on it is told that intervals were widened.
+const WORTH_SAYING_RATIO: f64 = 1.05;
+
+pub const fn status(status: Status) -> &'static str {
+    match status {
+        Status::Supported => "supported",
+        Status::Possible => "possible",
+        Status::RuledOut => "ruled out",
+        Status::NotExcited => "not excited",
+    }
+}
+
+/// What the runs show of an effect, and why.
+pub fn evidence(own: &Candidate) -> String {
+    let effect = effect::find(own.effect);
+    let name = effect.map_or(own.effect, |effect| effect.card().name);
+    let percent = probability(own.probability);
+    let size = |size: Option<f64>| {
+        let (effect, size) = (effect?, size?);
+        let unit = match unit_of_size(effect) {
+            "-" => "(a ratio)",
+            unit => unit,
+        };
+        let size = bound(Some(size), unit_of_size(effect), own.run_s)?;
+        Some(format!("{} {unit}", significant(size, 2)))
+    };
+    let most = |bound: Option<f64>| {
+        size(bound).map_or_else(String::new, |bound| format!("; at most {bound}"))
+    };
+    let mut text = match own.finding {
+        CandidateFinding::LeftOpen(why) => format!("{name} is left open: {}", why_open(why)),
+        CandidateFinding::NotJudged { why } => not_judged(name, why),
+        CandidateFinding::NotShown => {
+            let excite = effect.map_or("", |effect| effect.card().excite);
+            format!("{name}: these runs would not show it; {excite}")
+        }
+        CandidateFinding::Named { floor, holdout_from } => {
+            let when = effect.and_then(|effect| happening(effect, &own.onsets, holdout_from));
+            format!(
+                "{name} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {}",
+                when.map_or_else(String::new, |when| format!(" ({when})")),
+                own.holdout_before,
+                own.holdout_after.unwrap_or(f64::NAN),
+                times(floor)
+            )
+        }
+        CandidateFinding::RuledOut => format!(
+            "{name} is there with {percent}{}{}",
+            most(own.upper_bound),
+            size(own.detectable)
+                .map_or_else(String::new, |least| format!("; {least} would have shown"))
+        ),
+        CandidateFinding::MayBeThere { upper_bound } => {
+            format!("{name} may be there, with {percent}{}", most(upper_bound))
+        }
+    };
+    if let Some(reason) = &own.not_named {
+        text += "; not named: ";
+        text += &veto(reason);
+    }
+    if let Some(other) = own.as_good_as {
+        text += &format!("; explains as much as {other}; these runs cannot tell them apart");
+    }
+    text
+}
+
+pub(super) fn not_judged(name: &str, why: &str) -> String {
+    format!("{name} cannot be judged from this run: {why}")
+}
+
+/// Why an effect is not named.
+pub fn veto(reason: &VetoReason) -> String {
+    match reason {
+        VetoReason::Surplus { most } => {
+            format!("more than {most} effects would be there at once, and others explain more")
+        }
+        VetoReason::HoldoutStill => HOLDOUT_STILL.to_owned(),
+        VetoReason::SearchCut => {
+            "the search was ended by its budget, and its refit alone does not halve the held-out error"
+                .to_owned()
+        }
+        VetoReason::FrequencyTooHigh { found_hz, highest_hz } => format!(
+            "its frequency of {found_hz:.1} Hz lies above half the rate of the samples, {highest_hz:.1} Hz"
+        ),
+        VetoReason::FrequencyUnknown { found_hz, std_hz } => {
+            format!("its frequency is not determined ({found_hz:.1} ± {std_hz:.1} Hz)")
+        }
+        VetoReason::SizeMayBeZero => "the fit with it does not tell its size from zero".to_owned(),
+        VetoReason::SizeMayBeZeroInBalance => {
+            "the balance of torques does not tell its size from zero".to_owned()
+        }
+        VetoReason::NoInertia => {
+            "an artefact: with it the balance of torques has no inertia any more".to_owned()
+        }
+        VetoReason::ByChance => {
+            "it takes no more from the errors than chance does, which are at the noise without it"
+                .to_owned()
+        }
+        VetoReason::Unexplained(why) => {
+            let why = match why {
+                WhyUnexplained::Open(why) => why_open(*why),
+                WhyUnexplained::SeveralTimesTheNoise => "several times the noise is left",
+                WhyUnexplained::NotWhite => "its innovations are not white",
+            };
+            format!("most stays unexplained with all that would be named, and {why}")
+        }
+        VetoReason::NotLower { before, after, floor } => format!(
+            "with it the held-out error goes from {before:.2} to {after:.2} {}: it is not lower by more than chance",
+            times(*floor)
+        ),
+    }
+}
+
+/// Beside sizes, where their intervals are wider than the noise alone makes them.
+pub fn widened(own: &Candidate) -> Option<String> {
+    (own.interval_factor > WORTH_SAYING_RATIO).then(|| {
+        format!(
+            "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
+            own.interval_factor
+        )
+    })
+}
+
+/// What its size is below.
+pub fn at_most(own: &Candidate) -> Option<String> {
+    sized(own, "at most", own.upper_bound)
+}
+
+/// The smallest size that would have been named.
+pub fn seen_from(own: &Candidate) -> Option<String> {
+    sized(own, "seen from", own.detectable)
+}
+
+/// A size in the unit of the parameter that gives the effect its size.
+fn sized(own: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
+    let unit = unit_of_size(effect::find(own.effect)?);
+    let size = bound(size, unit, own.run_s)?;
+    Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
+}
+
+/// A bound that is one: a time that is longer than the run is not.
+fn bound(size: Option<f64>, unit: &str, run_s: f64) -> Option<f64> {
+    size.filter(|size| size.is_finite() && (unit != "s" || *size <= run_s))
+}
+
+/// Unit of the parameter that gives an effect its size.
+fn unit_of_size(effect: &dyn Effect) -> &'static str {
+    effect.parameters().get(effect.size_index()).map_or("", |spec| spec.unit)
+}
+
+/// When something that happens once did so, and what it changed.
+pub(super) fn happening(
+    effect: &dyn Effect,
+    onsets: &[Onset],
+    from: HoldoutFrom,
+) -> Option<String> {
+    let change = effect.card().changes.unwrap_or(effect.card().name);
+    let size = |onset: &Onset| match unit_of_size(effect) {
+        "-" => format!("{change} {:+.0} %", 100.0 * onset.size),
+        unit if onset.size.abs() < 0.01 => format!("{change} {:+.2e} {unit}", onset.size),
+        unit => format!("{change} {:+.3} {unit}", onset.size),
+    };
+    let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
+    let place = |onset: &Onset| match (onset.run, onset.number) {
+        (RunOf::Fit, _) => "in the fit run".to_owned(),
+        (RunOf::Whole, _) => "in the first run".to_owned(),
+        (RunOf::Holdout, _) => "in the hold-out".to_owned(),
+        (RunOf::Later, number) => format!("in later run {}", number.unwrap_or(1)),
+    };
+    let is_first = |onset: &Onset| matches!(onset.run, RunOf::Fit | RunOf::Whole);
+    match onsets {
+        [] => None,
+        [one] if from == HoldoutFrom::Split && is_first(one) => Some(when(one)),
+        [one] => Some(format!("{} only, {}", place(one), when(one))),
+        several => {
+            let each = several.iter().map(|own| {
+                if is_first(own) { when(own) } else { format!("{} {}", place(own), when(own)) }
+            });
+            Some(each.collect::<Vec<_>>().join("; "))
+        }
+    }
+}
+
+/// The largest size of one quantity, with so many standard deviations on either side.
+pub fn peak(peak: &Peak, deviations: f64) -> String {
+    let size = with_std(peak.value, peak.std.map(|std| deviations * std));
+    let share = peak.percent_of_largest.map_or_else(String::new, |percent| {
+        format!(", {} % of the largest", significant(percent, 2))
+    });
+    format!("up to {size} {} in this run{share}", peak.unit)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::testing::candidate;
+
+    #[test]
+    fn a_time_that_is_longer_than_the_run_is_no_bound() {
+        for (size, unit, expected) in [
+            (Some(3.67e3), "s", None),
+            (Some(0.004), "s", Some(0.004)),
+            (Some(3.67e3), "A", Some(3.67e3)),
+            (Some(f64::INFINITY), "A", None),
+            (None, "s", None),
+        ] {
+            assert_eq!(bound(size, unit, 12.0), expected, "{size:?} {unit}");
+        }
+    }
+
+    #[test]
+    fn a_veto_and_a_rival_stand_behind_the_evidence() {
+        let mut own = candidate(2, "cogging", Status::Possible, 3.9);
+        own.not_named = Some(VetoReason::SizeMayBeZero);
+        own.as_good_as = Some("stribeck_friction");
+        let text = evidence(&own);
+        let end = "; not named: the fit with it does not tell its size from zero; explains as much as stribeck_friction; these runs cannot tell them apart";
+        assert!(text.ends_with(end), "{text}");
+    }
+
+    #[test]
+    fn an_event_is_told_with_its_run_and_moment() {
+        let onset = |run, number, time_s, size| Onset {
+            run,
+            number,
+            time_s,
+            interval_95_s: [time_s, time_s],
+            size,
+            size_std: 0.0,
+        };
+        let first = onset(RunOf::Fit, None, 5.02, 0.3);
+        let later = onset(RunOf::Later, Some(2), 3.0, 0.1);
+        for (onsets, from, expected) in [
+            (vec![], HoldoutFrom::Run, None),
+            (
+                vec![first.clone()],
+                HoldoutFrom::Run,
+                Some("in the fit run only, from 5.02 s on, inertia +30 %"),
+            ),
+            (vec![first.clone()], HoldoutFrom::Split, Some("from 5.02 s on, inertia +30 %")),
+            (
+                vec![first, later],
+                HoldoutFrom::Run,
+                Some("from 5.02 s on, inertia +30 %; in later run 2 from 3.00 s on, inertia +10 %"),
+            ),
+        ] {
+            let effect = effect::find("inertia_change").unwrap();
+            assert_eq!(happening(effect, &onsets, from).as_deref(), expected);
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What adding or removing an effect did, and what the values of a model with effects are from.
+
+use super::candidate::{not_judged, veto};
+use super::limits::{set_aside, trivial};
+use super::times;
+use drivebench_diagnose::{
+    AddResult, AlongFinding, ChangeFinding, Comparison, ProcessingError, Refusal,
+};
+use drivebench_identify::balance::Method;
+use drivebench_model::text::number::probability;
+
+/// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
+pub fn change(result: &AddResult) -> String {
+    let mut reason = reason(result);
+    if let Some(refused) = &result.refused {
+        let refused = match refused {
+            Refusal::Veto(reason) => veto(reason),
+            Refusal::Trivial(prediction) => trivial(prediction),
+        };
+        reason = format!("not added: {refused} ({reason})");
+    }
+    if let Some(aside) = &result.aside {
+        reason = format!("{reason}; {}", set_aside(aside));
+    }
+    if result.forced {
+        reason = format!("forced, although these runs do not ask for it: {reason}");
+    }
+    reason
+}
+
+fn reason(result: &AddResult) -> String {
+    let name = result.name;
+    let likely = probability(result.probability);
+    let fall = fall(result) + &both_processings([&result.before, &result.after]);
+    let removed =
+        |word: &str| format!("{name} {word}: it is there with {likely}, and without it {fall}");
+    // The list behind these words, if there is anything in it.
+    let listed = |before: &str, ids: &[&str], between: &str, behind: &str| {
+        let words = || format!("{before}{}{behind}", ids.join(between));
+        if ids.is_empty() { String::new() } else { words() }
+    };
+    match &result.finding {
+        ChangeFinding::NotJudged { why } => not_judged(name, why),
+        ChangeFinding::Needed => removed("is needed"),
+        ChangeFinding::Superfluous => removed("is superfluous"),
+        ChangeFinding::NotShown => removed("would not show in these runs, which do not ask for it"),
+        ChangeFinding::There { rivals } => {
+            let rivals = listed(", which these runs cannot tell from ", rivals, " and ", "");
+            let superfluous = result.superfluous.iter();
+            let superfluous: String =
+                superfluous.map(|id| format!("; {id} is superfluous now")).collect();
+            format!("{name} is there with {likely}{rivals}; with it {fall}{superfluous}")
+        }
+        ChangeFinding::NotThere { beside, would_show } => {
+            let beside = listed(" beside what these runs ask for (", beside, ", ", ")");
+            let unseen = if *would_show { "" } else { "; these runs would not show it" };
+            format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
+        }
+    }
+}
+
+/// How the held-out error changes.
+fn fall(result: &AddResult) -> String {
+    let error = |rung: usize| result.ladder.get(rung).map_or(f64::NAN, |rung| rung.holdout_rmse);
+    let (from, to) = (error(0), error(1));
+    let share = 100.0 * (1.0 - to / from);
+    if !share.is_finite() {
+        return "the held-out error is not known".to_owned();
+    }
+    let word = if share >= 0.0 { "falls" } else { "rises" };
+    let (by, times) = (share.abs(), times(result.before.noise_floor_from));
+    format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
+}
+
+/// The change under each processing of a balance of torques; nothing of a free run.
+fn both_processings(sides: [&Comparison; 2]) -> String {
+    let [before, after] = sides.map(|side| {
+        let torque = side.signals.torque_n_m.iter();
+        torque.flat_map(|torque| &torque.processing)
+    });
+    let words = before.zip(after).map(|(before, after)| {
+        let from = before.holdout_relative_error_percent;
+        let to = after.holdout_relative_error_percent;
+        let whole = |side: &ProcessingError| side.whole_run_relative_error_percent;
+        let whole = whole(before).zip(whole(after));
+        let whole = whole.map_or_else(String::new, |(from, to)| {
+            format!(", {from:.2} -> {to:.2} % over the whole run")
+        });
+        let method = match before.method {
+            Method::WeakForm => "weak form",
+            Method::InverseDynamics => {
+                "reference processing: inverse dynamics, zero-phase low pass"
+            }
+        };
+        format!("; torque error {from:.2} -> {to:.2} % held out{whole} ({method})")
+    });
+    words.collect()
+}
+
+/// What the values and ± of a model with effects are from.
+pub fn along(found: &AlongFinding) -> String {
+    let not_followed = |why: &str| {
+        format!(
+            "the model cannot be followed along the run{why}: ± counts noise alone, and nothing of what the forms of its \
+             effects may be wrong by"
+        )
+    };
+    match found {
+        AlongFinding::PredictionErrors => {
+            "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and count what \
+             the forms of the effects and the stamps may be wrong by"
+                .to_owned()
+        }
+        AlongFinding::FreeRun => {
+            "the model has effects: the values are of its free run, which those of its prediction errors do not foretell; ± \
+             counts how far the two lie apart, and what the forms of the effects and the stamps may be wrong by"
+                .to_owned()
+        }
+        AlongFinding::NotFollowed => not_followed(""),
+        AlongFinding::Failed(message) => not_followed(&format!(" ({message})")),
+    }
+}

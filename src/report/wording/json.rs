@@ -1,0 +1,168 @@
+//! Results as JSON: what the core gives of them, with a sentence beside each code.
+
+use serde::{Serialize, Serializer};
+use serde_json::Value;
+
+use super::{
+    candidate, change, diagnosis, drift, limits, location, nameplate, next_run, probe, versus,
+};
+use drivebench_diagnose::{
+    AddResult, Comparison, Diagnosis, FailureLocation, Limit, NextExperiment, Versus,
+};
+use drivebench_identify::drift::Drift;
+use drivebench_identify::nameplate::Comparison as Nameplate;
+use drivebench_link::ProbeReport;
+
+/// The core's own form; what has none is empty.
+fn own(found: &impl Serialize) -> Value {
+    serde_json::to_value(found).unwrap_or_default()
+}
+
+/// Puts the sentence of each element into the element of a list.
+fn each<T>(list: &mut Value, found: &[T], key: &str, sentence: impl Fn(&T) -> String) {
+    for (value, found) in list.as_array_mut().into_iter().flatten().zip(found) {
+        value[key] = sentence(found).into();
+    }
+}
+
+fn locations(list: &mut Value, found: &[FailureLocation]) {
+    each(list, found, "sentence", location::location);
+}
+
+/// Limits as sentences, and their codes.
+fn limit_list(value: &mut Value, found: &[Limit]) {
+    value["limits"] = found.iter().map(limits::limit).collect();
+    value["limit_codes"] = found.iter().map(Limit::code).collect();
+}
+
+pub fn diagnosis(found: &Diagnosis) -> Value {
+    let mut value = own(found);
+    value["code"] = found.answer().code().into();
+    value["sentence"] = diagnosis::diagnosis(found).into();
+    if let Some(reason) = &found.reason {
+        value["reason"] = limits::trivial(reason).into();
+        value["reason_code"] = reason.code().into();
+    }
+    limit_list(&mut value, &found.limits);
+    each(&mut value["candidates"], &found.candidates, "evidence", candidate::evidence);
+    each(&mut value["unknown"], &found.unknown, "sentence", diagnosis::unknown);
+    if !found.repeat_follows.is_empty() {
+        locations(&mut value["repeat_follows"], &found.repeat_follows);
+    }
+    if !found.axis_map.is_empty() {
+        each(&mut value["axis_map"], &found.axis_map, "sentence", location::axis_map);
+    }
+    if let Some(confirm) = &found.confirm {
+        value["confirm"]["sentence"] = diagnosis::confirmation(found, confirm).into();
+    }
+    if let Some(next) = &found.next_experiment {
+        value["next_experiment"] = next_experiment(next);
+    }
+    value
+}
+
+fn next_experiment(next: &NextExperiment) -> Value {
+    let mut value = own(next);
+    value["sentence"] = next_run::next_run(next).into();
+    each(&mut value["hidden"], &next.hidden, "reason", next_run::hidden_reason);
+    value
+}
+
+pub fn comparison(found: &Comparison) -> Value {
+    let mut value = own(found);
+    if let Some(reason) = &found.not_fitted {
+        value["not_fitted"] = limits::trivial(reason).into();
+        value["not_fitted_code"] = reason.code().into();
+    }
+    limit_list(&mut value, &found.limits);
+    locations(&mut value["where"], &found.locations);
+    each(&mut value["balances"], &found.balances, "sentence", |own| {
+        location::balance(own, &found.locations)
+    });
+    if let Some(torque) = &found.signals.torque_n_m {
+        let list = &mut value["signals"]["torque_n_m"]["processing"];
+        each(list, &torque.processing, "sentence", |own| limits::derivation(&own.derivation));
+    }
+    value
+}
+
+pub fn change(found: &AddResult) -> Value {
+    let mut value = own(found);
+    value["reason"] = change::change(found).into();
+    for (key, side) in [("before", &found.before), ("after", &found.after)] {
+        value[key] = comparison(side);
+    }
+    value
+}
+
+pub fn versus(found: &Versus) -> Value {
+    let mut value = own(found);
+    value["sentence"] = versus::versus(found).into();
+    value
+}
+
+pub fn drift(found: &Drift) -> Value {
+    let mut value = own(found);
+    value["sentence"] = drift::drift(found).into();
+    value["caution"] = drift::caution(found).into();
+    let changes = &mut value["changes"];
+    each(changes, &found.changes, "sentence", |own| drift::change(own, &found.since));
+    for (change, own) in changes.as_array_mut().into_iter().flatten().zip(&found.changes) {
+        change["possible_cause"] = own.possible_cause.as_ref().map(drift::cause).into();
+    }
+    each(&mut value["not_compared"], &found.not_compared, "reason", drift::not_compared);
+    value
+}
+
+pub fn probe(found: &ProbeReport) -> Value {
+    let mut value = own(found);
+    value["sentence"] = probe::probe(found).into();
+    value
+}
+
+pub fn nameplate(found: &Nameplate) -> Value {
+    let mut value = own(found);
+    value["code"] = found.finding().code().into();
+    value["causes"] = found.causes.iter().map(nameplate::cause).collect();
+    if let Some(doubt) = &found.doubt {
+        value["doubt"] = nameplate::doubt(doubt).into();
+    }
+    each(&mut value["rows"], &found.rows, "sentence", nameplate::row);
+    for (row, own) in value["rows"].as_array_mut().into_iter().flatten().zip(&found.rows) {
+        row["code"] = own.finding().code().into();
+    }
+    value
+}
+
+/// For fields of other results.
+pub(crate) fn with_sentences<S: Serializer>(
+    found: &Diagnosis,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    diagnosis(found).serialize(serializer)
+}
+
+pub(crate) fn compared<S: Serializer>(
+    found: &Comparison,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    comparison(found).serialize(serializer)
+}
+
+pub(crate) fn of_both<S: Serializer>(found: &Versus, serializer: S) -> Result<S::Ok, S::Error> {
+    versus(found).serialize(serializer)
+}
+
+pub(crate) fn plate<S: Serializer>(
+    found: &Option<Nameplate>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    found.as_ref().map(nameplate).serialize(serializer)
+}
+
+pub(crate) fn drifted<S: Serializer>(
+    found: &Option<Drift>,
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    found.as_ref().map(drift).serialize(serializer)
+}

@@ -1,0 +1,165 @@
+//! What runs cannot answer.
+
+use drivebench_diagnose::{
+    Limit, LongRun, RepeatUnknown, SearchedPart, SetAside, TrivialPrediction, Unjudged, WhyOpen,
+};
+use drivebench_identify::balance::Derivation;
+
+pub fn limit(limit: &Limit) -> String {
+    match limit {
+        Limit::RunsSetAside(aside) => set_aside(aside),
+        Limit::HoldoutStill => format!("{HOLDOUT_STILL}: no effect is named by it"),
+        Limit::SignalUnjudged { signal, why } => {
+            let (key, other) = match *signal {
+                "current" => ("current_a", "speed"),
+                _ => ("speed_rad_s", "current"),
+            };
+            let why = unjudged(why);
+            format!(
+                "the {signal} ({key}) has no part in the judgement: {why}; errors, verdict and sizes rest on the {other} \
+                 alone, and what shows only in the {signal} would not be seen"
+            )
+        }
+        Limit::PartSearched { parts, rest_confirms } => {
+            let parts: Vec<String> = parts.iter().map(searched).collect();
+            let rest =
+                if *rest_confirms { "; what comes behind them is the confirming run" } else { "" };
+            parts.join("; ") + rest
+        }
+        Limit::TorqueBalance { derivation: of } => {
+            format!("errors are those of the balance of torques ({})", derivation(of))
+        }
+        Limit::LostRows { expected, most, highest } => format!(
+            "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {expected:.1} times the \
+             noise of its error, and up to {most:.1} is allowed for; an error below {highest:.1} times the noise may be all \
+             theirs"
+        ),
+        Limit::NothingRuledOut(why) => format!("nothing is ruled out: {}", why_open(*why)),
+        Limit::RepeatUnknown(why) => {
+            let why: &str = match why {
+                RepeatUnknown::NotFollowed => "the model cannot be followed on both runs",
+                RepeatUnknown::RowsLost => "too many rows were lost",
+                RepeatUnknown::Failed(message) => message,
+            };
+            format!("whether this machine repeats is not known: {why}")
+        }
+        Limit::NoNoiseFloor => {
+            "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
+             that an error cannot be told from noise; errors are shown beside the drive instead"
+                .to_owned()
+        }
+        Limit::NoOtherRun { share } => format!(
+            "no other run is held out: the {} of the run are, which share its day and its excitation",
+            last_part(*share)
+        ),
+        Limit::NotMeasured { signal } => format!(
+            "no {signal} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
+        ),
+        Limit::FewWindows { equation, usable, needed, length_s } => format!(
+            "{equation} equation: {usable} usable windows of {:.0} ms, at least {needed} are needed to say where it fails: \
+             record a longer run{}",
+            1e3 * length_s,
+            if *equation == "torque" { " in which the shaft turns" } else { "" }
+        ),
+        Limit::NoAngle => {
+            "no angle was measured: it is integrated from the speed and drifts, so that an error that follows the angle \
+             may go unseen"
+                .to_owned()
+        }
+    }
+}
+
+/// Of a hold-out in which neither speed nor current changes.
+pub(super) const HOLDOUT_STILL: &str = "what is held out stands still or runs steadily";
+
+/// The part of a run that is held out.
+pub fn last_part(share: f64) -> String {
+    format!("last {:.0} %", 100.0 * share)
+}
+
+pub fn set_aside(aside: &SetAside) -> String {
+    format!(
+        "{} {} set aside: {} happens once in a run or counts from its first command, and runs that are fitted behind each \
+         other cannot hold it; the answer is of {} without what was made after it, which has to be judged by itself",
+        aside.later.join(" and "),
+        if aside.later.len() > 1 { "are" } else { "is" },
+        aside.effects.join(" and "),
+        aside.first,
+    )
+}
+
+fn unjudged(why: &Unjudged) -> String {
+    match why {
+        Unjudged::OnlyInHoldout => "it was measured in the hold-out only".to_owned(),
+        Unjudged::NotInHoldout => "it was not measured in the hold-out, which decides".to_owned(),
+        Unjudged::Constant => "it is the same throughout the run".to_owned(),
+        Unjudged::FewAtRest { samples, needed } => format!(
+            "its noise is not known, because it has {samples} samples in the leading standstill and {needed} are needed"
+        ),
+        Unjudged::FewRepeated { needed } => format!(
+            "its noise is not known, because the repeated runs have fewer than {needed} samples of it at the same instants"
+        ),
+        Unjudged::NothingLeft => "the fitted baseline leaves nothing of it".to_owned(),
+    }
+}
+
+fn searched(part: &SearchedPart) -> String {
+    let SearchedPart { run, from_s, to_s, whole_s, rows, of_rows } = part;
+    let run: &str = match run {
+        LongRun::Fit => "the fit run",
+        LongRun::Holdout => "the hold-out",
+        LongRun::Repeat => "the repeated run",
+        LongRun::Only => "the run",
+        LongRun::Named(name) => name,
+    };
+    let origin = if *from_s > 0.0 {
+        format!(", and what is said to happen at a time happens {from_s:.2} s later in it")
+    } else {
+        String::new()
+    };
+    format!(
+        "only {from_s:.0} to {to_s:.0} s of the {whole_s:.0} s of {run} were searched: {rows} of {of_rows} rows{origin}"
+    )
+}
+
+pub(super) const fn why_open(why: WhyOpen) -> &'static str {
+    match why {
+        WhyOpen::SearchCut => {
+            "the search was ended by its budget of work before a set of effects stood"
+        }
+        WhyOpen::FarFromNoise => {
+            "the best model leaves several times the noise, so that bounds by it do not hold"
+        }
+    }
+}
+
+/// How the rows of a balance of torques came about.
+pub fn derivation(of: &Derivation) -> String {
+    match of {
+        Derivation::WeakForm { window_s, dead_zone_rad_s } => format!(
+            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, nothing differentiated; windows that touch \
+             speeds below {dead_zone_rad_s:.3} rad/s left out",
+            1e3 * window_s,
+        ),
+        Derivation::InverseDynamics { processing, then_hz, one_in } => processing.sentence_with(
+            &format!("then at {then_hz:.3} Hz, as for one row in {one_in}; every row in motion"),
+        ),
+    }
+}
+
+/// A prediction that is as good as the fitted model.
+pub fn trivial(found: &TrivialPrediction) -> String {
+    match found {
+        TrivialPrediction::Mean { signal, unit, error, own } => format!(
+            "the fitted model leaves {own:.3} {unit} of the {signal} of the hold-out, the mean of it {error:.3} {unit}"
+        ),
+        TrivialPrediction::LastValue { signal, unit, error, own } => format!(
+            "the fitted model leaves {own:.3} {unit} of the {signal} of the hold-out, the last value of the fitted part \
+             {error:.3} {unit}"
+        ),
+        TrivialPrediction::Lag { error, own, gain_rad_s_per_v, time_constant_s } => format!(
+            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of \
+             {gain_rad_s_per_v:.3} rad/s/V and {time_constant_s:.3} s leaves {error:.3} rad/s"
+        ),
+    }
+}

@@ -1,0 +1,69 @@
+//! Sentences about findings. The core gives codes with numbers; here, and only here, they become words.
+//!
+//! ```text
+//! finding (enum with numbers) --> diagnosis, candidate, location, residual, ... --> sentence: card, page, screen
+//!                             '-> json: the core's own form, with the sentence beside the code
+//! ```
+
+pub mod candidate;
+pub mod change;
+pub mod diagnosis;
+pub mod drift;
+pub mod json;
+pub mod limits;
+pub mod location;
+pub mod nameplate;
+pub mod next_run;
+pub mod probe;
+pub mod residual;
+pub mod versus;
+
+use drivebench_diagnose as diagnose;
+use drivebench_identify::balance::Derivation;
+use drivebench_identify::noise::FloorSource;
+use drivebench_identify::{drift as drifts, nameplate as plates};
+
+/// What is written behind a multiple of the noise: without a floor none may be claimed.
+pub const fn times(source: FloorSource) -> &'static str {
+    match source {
+        FloorSource::Standstill | FloorSource::Repeat => "times the noise floor",
+        FloorSource::None => "times the baseline's residual",
+    }
+}
+
+/// The unit of an error that is given as a multiple.
+pub const fn unit(source: FloorSource) -> &'static str {
+    match source {
+        FloorSource::Standstill | FloorSource::Repeat => "the noise floor",
+        FloorSource::None => "the baseline's residual",
+    }
+}
+
+/// The codes of all findings in JSON, by what they are of.
+pub const CODES: &[(&str, &[&str])] = &[
+    ("diagnosis", diagnose::Answer::CODES),
+    ("diagnosis: reason_code; comparison: not_fitted_code", diagnose::TrivialPrediction::CODES),
+    ("candidate", diagnose::CandidateFinding::CODES),
+    ("candidate: not_named", diagnose::VetoReason::CODES),
+    ("unknown", diagnose::UnknownKind::CODES),
+    ("confirm", diagnose::ConfirmationFinding::CODES),
+    ("limit_codes", diagnose::Limit::CODES),
+    ("where, repeat_follows", diagnose::ErrorForm::CODES),
+    ("balance", diagnose::EquationState::CODES),
+    ("undecided_code", diagnose::Undecided::CODES),
+    ("axis_map", diagnose::AxisFinding::CODES),
+    ("processing", Derivation::CODES),
+    ("comparison of two models", diagnose::VersusFinding::CODES),
+    ("effect added or removed", diagnose::ChangeFinding::CODES),
+    ("next_experiment", diagnose::Recommendation::CODES),
+    ("next_experiment: hidden", diagnose::HiddenReason::CODES),
+    ("probe", drivebench_link::ProbeFinding::CODES),
+    ("drift", drifts::DriftFinding::CODES),
+    ("drift: possible_cause_code", drifts::DriftCause::CODES),
+    ("drift: caution_codes", drifts::DriftCaution::CODES),
+    ("drift: not_compared", drifts::NotCarried::CODES),
+    ("nameplate", plates::NameplateFinding::CODES),
+    ("nameplate: rows", plates::RowFinding::CODES),
+    ("nameplate: cause_codes", plates::NameplateCause::CODES),
+    ("nameplate: doubt_code", plates::NameplateDoubt::CODES),
+];

@@ -1,0 +1,140 @@
+//! The run that would tell what these runs cannot.
+
+use drivebench_diagnose::{FasterRun, Hidden, HiddenReason, NextExperiment, Recommendation};
+use drivebench_model::plant::effect;
+use drivebench_model::text::number::significant;
+
+/// Names of a list that are given; the rest is counted.
+const MOST_NAMES: usize = 4;
+
+/// What to run, why, and what it will show.
+pub fn next_run(next: &NextExperiment) -> String {
+    match next.finding {
+        Recommendation::TellsApart => pairs(next),
+        Recommendation::CannotTellApart { faster } => {
+            pairs(next) + &faster.as_ref().map_or_else(String::new, with_faster)
+        }
+        Recommendation::Shows => {
+            let shown = list(next.reveals.iter().map(|id| name(id).to_owned()));
+            let text = format!("these runs would not have shown {shown}; run {}", described(next));
+            if next.hidden.is_empty() {
+                return text;
+            }
+            let hidden = next.hidden.iter().map(|own| name(own.effect).to_owned());
+            format!("{text}; it still does not show {}", list(hidden))
+        }
+        Recommendation::ShowsNothingMore => {
+            let hidden = next.hidden.iter();
+            let words = hidden.map(|own| format!("{} ({})", name(own.effect), hidden_reason(own)));
+            format!("no further run within the limits would show more; not shown: {}", list(words))
+        }
+    }
+}
+
+/// Pairs of rivals with their separations in this run.
+fn pairs(next: &NextExperiment) -> String {
+    let mut parts = Vec::new();
+    let (told, hidden): (Vec<_>, Vec<_>) = next.pairs.iter().partition(|pair| pair.is_told());
+    if let Some(first) = told.first() {
+        let rivals = told.iter().map(|told| {
+            let [a, b] = told.pair.map(name);
+            format!("{a} from {b} (separation {})", figure(told.expected_separation))
+        });
+        parts.push(format!(
+            "run {}: it tells {}; {} would do",
+            described(next),
+            rivals.collect::<Vec<_>>().join(" and "),
+            figure(first.needed)
+        ));
+    }
+    for entry in hidden {
+        let [a, b] = entry.pair.map(name);
+        let run = program(entry.best_program);
+        let (best, needed) = (figure(entry.best_separation), figure(entry.best_needed));
+        parts.push(if entry.best_separation >= entry.best_needed {
+            format!("{a} and {b} need another run after it: {run} (separation {best})")
+        } else {
+            format!(
+                "no run of this kind will separate {a} and {b} within the limits: the best, {run}, gives a separation of \
+                 {best} at most, {needed} are needed"
+            )
+        });
+    }
+    parts.join("; ")
+}
+
+fn with_faster(faster: &FasterRun) -> String {
+    format!(
+        "; with limits.slew_v_per_s = {} in the bench file, {} would (separation {})",
+        faster.slew_v_per_s,
+        program(faster.program),
+        figure(faster.separation)
+    )
+}
+
+/// The recommended run with its peaks.
+fn described(next: &NextExperiment) -> String {
+    let Some((recipe, peaks)) = next.recipe.as_ref().zip(next.peaks) else {
+        return String::new();
+    };
+    format!(
+        "{} ({:.1} s, up to {:.0} V, {:.1} A and {:.0} rad/s)",
+        program(recipe.id),
+        peaks.duration_s,
+        peaks.voltage_v,
+        peaks.current_a,
+        peaks.speed_rad_s
+    )
+}
+
+/// What would show an effect that the recommended run does not.
+pub fn hidden_reason(hidden: &Hidden) -> String {
+    match hidden.reason {
+        HiddenReason::AnotherRun => "another run after it shows it".to_owned(),
+        HiddenReason::Slew { v_per_s } => {
+            format!("not with {v_per_s:.0} V/s: needs a faster change of the voltage")
+        }
+        HiddenReason::Travel { rad } => format!("not within {rad:.1} rad: needs more travel"),
+        HiddenReason::Limits { voltage_v, current_a, speed_rad_s, duration_s } => format!(
+            "not within {voltage_v:.0} V, {current_a:.1} A, {speed_rad_s:.0} rad/s and {duration_s:.0} s: needs more"
+        ),
+        HiddenReason::Excitation => {
+            effect::find(hidden.effect).map_or("", |effect| effect.card().excite).to_owned()
+        }
+    }
+}
+
+/// A run of the menu.
+fn program(id: &str) -> &'static str {
+    match id {
+        "rich" => "the rich sequence (steps, slow ramp, pseudo-random levels and sine, both ways)",
+        "slow_ramp" => "a slow ramp over the full range, through zero",
+        "fast_dither" => "a fast dither about zero volts",
+        "hard_cycling" => "hard accelerating and braking, both ways",
+        "staircase" => "long holds at several speeds, both ways",
+        "slow_sine" => "a slow sine through zero",
+        "standstill" => "a standstill reading",
+        "heat_and_repeat" => "a first part that is repeated after heating the winding",
+        "random_levels" => "pseudo-random levels of both signs",
+        "steady_hold" => "a steady hold at one speed",
+        "current_reversals" => "quick reversals of the current at rest",
+        "dither_at_speed" => "a fast dither at rest and at speed, both ways",
+        _ => "",
+    }
+}
+
+fn name(id: &'static str) -> &'static str {
+    effect::find(id).map_or(id, |effect| effect.card().name)
+}
+
+/// Two figures are all that a prediction deserves.
+fn figure(value: f64) -> String {
+    significant(value, 2)
+}
+
+fn list(names: impl ExactSizeIterator<Item = String>) -> String {
+    let more = names.len().saturating_sub(MOST_NAMES);
+    let given: Vec<String> = names.take(MOST_NAMES).collect();
+    let given = given.join(", ");
+    if more > 0 { format!("{given} and {more} more") } else { given }
+}
