@@ -12,26 +12,48 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
 
-/// Samples that are looked at: enough for any motor, and the cost stays bounded.
-const MOST_SAMPLES: usize = 60_000;
-const FEWEST_SAMPLES: usize = 100;
-/// Length of a block of correlated residuals, s.
-const BLOCK_S: f64 = 0.25;
-const ITERATIONS: usize = 12;
-/// Relative step of the differences, and of the fit below which it has arrived.
-const STEP: f64 = 1e-4;
-const ARRIVED: f64 = 1e-5;
-/// Largest move of a logarithm in one iteration.
-const LONGEST_MOVE: f64 = 0.7;
-/// Relative uncertainty above which a value says nothing about the motor.
-const VAGUE_SHARE: f64 = 0.1;
-/// Standard deviations that a difference must exceed.
-const CLEAR_SIGMAS: f64 = 4.0;
-/// Relative difference of `Ke` from which on two motors are doubtful (a magnet 15 K warmer), and another (30 K).
-const DOUBTFUL_BACK_EMF_SHARE: f64 = 0.03;
-const OTHER_BACK_EMF_SHARE: f64 = 0.06;
-/// Ratio of the resistances that warmth does not explain.
-const OTHER_RESISTANCE_RATIO: f64 = 1.5;
+/// Settings of the fit of the armature circuit, and thresholds of the comparison.
+struct Settings {
+    /// Samples that are looked at: enough for any motor, and the cost stays bounded.
+    most_samples: usize,
+    /// Samples below which nothing is fitted.
+    fewest_samples: usize,
+    /// Length of a block of correlated residuals, s.
+    block_s: f64,
+    /// Steps of Gauss-Newton at most.
+    iterations: usize,
+    /// Relative step of the differences.
+    step: f64,
+    /// Relative step of the fit below which it has arrived.
+    arrived: f64,
+    /// Largest move of a logarithm in one iteration.
+    longest_move: f64,
+    /// Relative uncertainty above which a value says nothing about the motor.
+    vague_share: f64,
+    /// Standard deviations that a difference must exceed.
+    clear_sigmas: f64,
+    /// Relative difference of `Ke` from which on two motors are doubtful: a magnet 15 K warmer.
+    doubtful_back_emf_share: f64,
+    /// The same from which on they are two: 30 K.
+    other_back_emf_share: f64,
+    /// Ratio of the resistances that warmth does not explain.
+    other_resistance_ratio: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    most_samples: 60_000,
+    fewest_samples: 100,
+    block_s: 0.25,
+    iterations: 12,
+    step: 1e-4,
+    arrived: 1e-5,
+    longest_move: 0.7,
+    vague_share: 0.1,
+    clear_sigmas: 4.0,
+    doubtful_back_emf_share: 0.03,
+    other_back_emf_share: 0.06,
+    other_resistance_ratio: 1.5,
+};
 
 /// A value with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -81,23 +103,23 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
     ];
     let (currents, speeds) = (&scenario.current_a, &scenario.speed_rad_s);
     let is_known = |row: &usize| currents[*row].is_finite() && speeds[*row].is_finite();
-    let rows = (0..scenario.samples().min(MOST_SAMPLES)).filter(is_known);
+    let rows = (0..scenario.samples().min(SETTINGS.most_samples)).filter(is_known);
     let rows: Vec<usize> = rows.collect();
-    if rows.len() < FEWEST_SAMPLES {
+    if rows.len() < SETTINGS.fewest_samples {
         return None;
     }
     let begin_s = scenario.sample_time_s[rows[0]];
-    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / BLOCK_S);
+    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / SETTINGS.block_s);
     let blocks: Vec<usize> = rows.iter().map(block).collect();
     let mut covariance = DMatrix::zeros(3, 3);
-    for iteration in 0..ITERATIONS {
+    for iteration in 0..SETTINGS.iterations {
         let here = simulated(scenario, &rows, x);
         let mut jacobian = DMatrix::zeros(rows.len(), 3);
         for column in 0..3 {
             let mut moved = x;
-            moved[column] += STEP;
+            moved[column] += SETTINGS.step;
             for (row, there) in simulated(scenario, &rows, moved).iter().enumerate() {
-                jacobian[(row, column)] = (there - here[row]) / STEP;
+                jacobian[(row, column)] = (there - here[row]) / SETTINGS.step;
             }
         }
         let left = rows.iter().zip(&here).map(|(row, i)| currents[*row] - i);
@@ -105,7 +127,7 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         let solution = least_squares::solve(&jacobian, &residual, &blocks)?;
         let mut largest = 0.0_f64;
         for (value, step) in x.iter_mut().zip(solution.x.iter()) {
-            let step = step.clamp(-LONGEST_MOVE, LONGEST_MOVE);
+            let step = step.clamp(-SETTINGS.longest_move, SETTINGS.longest_move);
             if !step.is_finite() {
                 return None;
             }
@@ -113,10 +135,10 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
             largest = largest.max(step.abs());
         }
         covariance = solution.covariance;
-        if largest < ARRIVED {
+        if largest < SETTINGS.arrived {
             break;
         }
-        if iteration + 1 == ITERATIONS && largest > VAGUE_SHARE {
+        if iteration + 1 == SETTINGS.iterations && largest > SETTINGS.vague_share {
             return None;
         }
     }
@@ -125,7 +147,7 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         let value = x[index].exp();
         // Not a number where the run leaves it undetermined.
         let std = value * covariance[(index, index)].sqrt();
-        (std < VAGUE_SHARE * value).then_some(Value { value, std })
+        (std < SETTINGS.vague_share * value).then_some(Value { value, std })
     };
     Some(Fingerprint { resistance_ohm: of(0)?, back_emf_v_s_per_rad: of(2)? })
 }
@@ -176,13 +198,14 @@ pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
     let (back_emf, back_emf_std) =
         difference(first.back_emf_v_s_per_rad, second.back_emf_v_s_per_rad);
     let (resistance, resistance_std) = difference(first.resistance_ohm, second.resistance_ohm);
-    let clear = back_emf.abs() > CLEAR_SIGMAS * back_emf_std;
+    let clear = back_emf.abs() > SETTINGS.clear_sigmas * back_emf_std;
     let ratio = 1.0 + resistance;
-    let not_warmth = !(1.0 / OTHER_RESISTANCE_RATIO..=OTHER_RESISTANCE_RATIO).contains(&ratio)
-        && resistance.abs() > CLEAR_SIGMAS * resistance_std;
-    let kinship = if (clear && back_emf.abs() > OTHER_BACK_EMF_SHARE) || not_warmth {
+    let not_warmth = !(1.0 / SETTINGS.other_resistance_ratio..=SETTINGS.other_resistance_ratio)
+        .contains(&ratio)
+        && resistance.abs() > SETTINGS.clear_sigmas * resistance_std;
+    let kinship = if (clear && back_emf.abs() > SETTINGS.other_back_emf_share) || not_warmth {
         Kinship::Other
-    } else if clear && back_emf.abs() > DOUBTFUL_BACK_EMF_SHARE {
+    } else if clear && back_emf.abs() > SETTINGS.doubtful_back_emf_share {
         Kinship::Doubtful
     } else {
         Kinship::Same

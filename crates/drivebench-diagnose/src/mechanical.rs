@@ -35,30 +35,55 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::signal;
 
-/// Rows below which a balance is not fitted.
-const FEWEST_ROWS: usize = 30;
-/// Shortest block of the clustered covariance, s, and the fewest blocks.
-const BLOCK_S: f64 = 0.25;
-const FEWEST_BLOCKS: f64 = 20.0;
-/// Intervals of a fit whose residual is not white are this much wider.
-const WIDENED: f64 = 2.0;
-/// Autocorrelation of neighbouring rows beyond what overlapping windows give.
-const NOT_WHITE_CORRELATION: f64 = 0.4;
-/// Rows below which nothing is said of how long a series remembers itself.
-const FEWEST_CORRELATED_ROWS: usize = 8;
-/// First step of the search over a form: relative for logarithmic ones, for the time of an event this part of the rows'
-/// span; and the halvings that follow.
-const FIRST_STEP: f64 = 0.35;
-const PARTS_OF_SPAN: f64 = 24.0;
-const HALVINGS: usize = 7;
-const HALVINGS_OF_A_TIME: usize = 8;
-/// Passes for coefficients that are only nearly proportional, and where terms depend on the transmitted torque: each of those
-/// leaves a share of the error as large as the ratio of friction to load, 0.5^24 of which is below [`PROPORTIONAL`].
-const PASSES: usize = 4;
-const PASSES_OF_TRANSMISSION: usize = 24;
-const PROPORTIONAL: f64 = 1e-6;
-/// Samples at which the direction of a term's power is looked at.
-const LOOKS: usize = 500;
+/// Settings of the fit of a balance of torques.
+struct Settings {
+    /// Rows below which a balance is not fitted.
+    fewest_rows: usize,
+    /// Shortest block of the clustered covariance, s.
+    block_s: f64,
+    /// Fewest such blocks.
+    fewest_blocks: f64,
+    /// Intervals of a fit whose residual is not white are this much wider.
+    widened: f64,
+    /// Autocorrelation of neighbouring rows beyond what overlapping windows give.
+    not_white_correlation: f64,
+    /// Rows below which nothing is said of how long a series remembers itself.
+    fewest_correlated_rows: usize,
+    /// First relative step of the search over a form.
+    first_step: f64,
+    /// For the time of an event the first step is this part of the span of the rows.
+    parts_of_span: f64,
+    /// Halvings that follow.
+    halvings: usize,
+    /// The same of a time.
+    halvings_of_a_time: usize,
+    /// Passes for coefficients that are only nearly proportional.
+    passes: usize,
+    /// Passes where terms depend on the transmitted torque: each leaves a share of the error as large as the ratio of friction to
+    /// load, 0.5^24 of which is below `proportional`.
+    passes_of_transmission: usize,
+    /// Relative change at which passes end.
+    proportional: f64,
+    /// Samples at which the direction of a term's power is looked at.
+    looks: usize,
+}
+
+const SETTINGS: Settings = Settings {
+    fewest_rows: 30,
+    block_s: 0.25,
+    fewest_blocks: 20.0,
+    widened: 2.0,
+    not_white_correlation: 0.4,
+    fewest_correlated_rows: 8,
+    first_step: 0.35,
+    parts_of_span: 24.0,
+    halvings: 7,
+    halvings_of_a_time: 8,
+    passes: 4,
+    passes_of_transmission: 24,
+    proportional: 1e-6,
+    looks: 500,
+};
 
 /// One processing of all runs.
 pub(super) struct Sides {
@@ -91,11 +116,11 @@ impl Sides {
                 Method::InverseDynamics => inverse_dynamics::torque_rows(model, scenario),
             };
             let found = rows.as_ref().map_or(0, TorqueRows::rows);
-            let rows = rows.filter(|_| found >= FEWEST_ROWS);
+            let rows = rows.filter(|_| found >= SETTINGS.fewest_rows);
             rows.ok_or_else(|| FitError::NoTorqueBalance {
                 run: scenario.name.clone(),
                 rows: found,
-                needed: FEWEST_ROWS,
+                needed: SETTINGS.fewest_rows,
             })
         };
         let whole = (evidence.holdout_from == HoldoutFrom::Split).then(|| Scenario {
@@ -278,14 +303,14 @@ fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
     }
     let mut torque = vec![0.0; rows.rows()];
     let mut at = transmitting(rows, &torque);
-    for _ in 0..PASSES_OF_TRANSMISSION {
+    for _ in 0..SETTINGS.passes_of_transmission {
         let next = sum_of_terms(model, rows, &at);
         let change = next.iter().zip(&torque).map(|(a, b)| (a - b).powi(2));
         let change: f64 = change.sum();
         let whole: f64 = next.iter().map(|value| value * value).sum();
         torque = next;
         at = transmitting(rows, &torque);
-        if change <= PROPORTIONAL * PROPORTIONAL * whole {
+        if change <= SETTINGS.proportional * SETTINGS.proportional * whole {
             break;
         }
     }
@@ -339,7 +364,7 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     }
     let scale = specs[parameter].scale.abs();
     let unit = alone(active.effect, &active.values_or_guess(), parameter, scale);
-    let step = rows.at.len().div_ceil(LOOKS).max(1);
+    let step = rows.at.len().div_ceil(SETTINGS.looks).max(1);
     // In either direction: a weight drives the shaft down, also where a run only lifts it.
     let some: Vec<Instant> = (rows.at.iter().step_by(step))
         .flat_map(|at| {
@@ -401,8 +426,8 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
         let Some((mut least, mut best_s)) = best else {
             continue;
         };
-        let mut step_s = span_s(rows) / PARTS_OF_SPAN;
-        for _ in 0..HALVINGS_OF_A_TIME {
+        let mut step_s = span_s(rows) / SETTINGS.parts_of_span;
+        for _ in 0..SETTINGS.halvings_of_a_time {
             for there_s in [best_s - step_s, best_s + step_s] {
                 let found = cost_at(there_s.max(0.0));
                 if found < least {
@@ -495,7 +520,7 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
     }
     let mut best = cost(model, rows);
     let mut step = 1.0;
-    for _ in 0..HALVINGS {
+    for _ in 0..SETTINGS.halvings {
         for slot in forms {
             let Slot::Effect { spec, .. } = slot else {
                 continue;
@@ -503,9 +528,9 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
             for direction in [1.0, -1.0] {
                 let here = model.get(slot).unwrap_or_else(|| spec.guess());
                 let there = if spec.role == ParameterRole::EventTime {
-                    here + direction * step * span_s(rows) / PARTS_OF_SPAN
+                    here + direction * step * span_s(rows) / SETTINGS.parts_of_span
                 } else if spec.logarithmic {
-                    here * (direction * step * FIRST_STEP).exp()
+                    here * (direction * step * SETTINGS.first_step).exp()
                 } else {
                     here + direction * step * spec.scale
                 };
@@ -525,12 +550,12 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
 fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut system = System::new(&model, rows)?;
     let mut x = system.solve_bounded()?;
-    let passes = if transmits(&model) { PASSES_OF_TRANSMISSION } else { PASSES };
+    let passes = if transmits(&model) { SETTINGS.passes_of_transmission } else { SETTINGS.passes };
     for _ in 0..passes {
         let before = system.matrix.clone();
         system.put(&mut model, &x);
         system = System::new(&model, rows)?;
-        if (&system.matrix - &before).norm() <= PROPORTIONAL * before.norm() {
+        if (&system.matrix - &before).norm() <= SETTINGS.proportional * before.norm() {
             break;
         }
         x = system.solve_bounded()?;
@@ -546,8 +571,8 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
         &blocks(rows, residual.as_slice()),
     )?;
     let next = statistics::autocorrelation(residual.as_slice(), 2);
-    let is_white = next.get(1).is_none_or(|rho| *rho <= NOT_WHITE_CORRELATION);
-    let widened = if is_white { 1.0 } else { WIDENED };
+    let is_white = next.get(1).is_none_or(|rho| *rho <= SETTINGS.not_white_correlation);
+    let widened = if is_white { 1.0 } else { SETTINGS.widened };
     let estimate = |slot: &Slot| {
         let key = slot.key();
         let mut free = system.free.iter();
@@ -601,7 +626,7 @@ fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
 /// Blocks of at least five correlation times of the residual, but never fewer than twenty.
 fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
     let five_s = 5.0 * correlation_time_s(&rows.time_s, residual);
-    let block_s = BLOCK_S.max(five_s).min(span_s(rows) / FEWEST_BLOCKS);
+    let block_s = SETTINGS.block_s.max(five_s).min(span_s(rows) / SETTINGS.fewest_blocks);
     let block_s = block_s.max(f64::MIN_POSITIVE);
     let times = rows.time_s.iter();
     times.map(|time_s| whole((time_s - rows.time_s[0]) / block_s)).collect()
@@ -611,7 +636,7 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
 /// is lost in chance.
 fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
     let n = values.len();
-    if n < FEWEST_CORRELATED_ROWS {
+    if n < SETTINGS.fewest_correlated_rows {
         return 0.0;
     }
     let period_s = (time_s[time_s.len() - 1] - time_s[0]) / (n - 1) as f64;

@@ -18,25 +18,61 @@ const HATS: usize = 16;
 const HATS_OF_TIME: usize = 24;
 /// Periods per turn that are looked for.
 const ORDERS: usize = 36;
-/// Windows (by their weight) in which a wave must be visible.
-const FEWEST_SEEN: f64 = 30.0;
-/// Share of the error that must follow a variable to be reported, and its multiple of what chance explains.
-const WORTH_MENTIONING_SHARE: f64 = 0.1;
-const BEYOND_CHANCE: f64 = 4.0;
-/// Time explains nothing by itself, and a line hides in every periodic excitation: they are named first only where no
-/// physical variable comes near.
-const WEIGHT_OF_TIME: f64 = 0.85;
-const WEIGHT_OF_LINE: f64 = 0.9;
-/// One wrong value of the motor explains as much as a curve with one column: preferred down to this share of it.
-const PARSIMONY: f64 = 1.03;
-/// A direction holds the error if it has this share of it, in at most that share of the time, over so many windows.
-const ONE_SIDED_SHARE: f64 = 0.75;
-const ONE_SIDED_SHARE_OF_TIME: f64 = 0.6;
-const ONE_SIDED_WINDOWS: usize = 20;
-/// Share of the time above which a region is the whole range.
-const NEARLY_ALL_SHARE: f64 = 0.75;
-/// Share of the largest diagonal that keeps columns without data from being singular.
-const RIDGE: f64 = 1e-9;
+/// Thresholds of the search along each variable.
+struct Settings {
+    /// Windows (by their weight) in which a wave must be visible.
+    fewest_seen: f64,
+    /// Share of the error that must follow a variable to be reported.
+    worth_mentioning_share: f64,
+    /// The same in multiples of what chance explains.
+    beyond_chance: f64,
+    /// Time explains nothing by itself, and a line hides in every periodic excitation: they come first only where no physical
+    /// variable comes near.
+    weight_of_time: f64,
+    /// The same of a line in frequency.
+    weight_of_line: f64,
+    /// One wrong value of the motor explains as much as a curve with one column: preferred down to this share of it.
+    parsimony: f64,
+    /// A direction of motion holds the error if it has this share of it.
+    one_sided_share: f64,
+    /// The share of the time that the direction may have at most.
+    one_sided_share_of_time: f64,
+    /// Windows in which the shaft has to turn that way.
+    one_sided_windows: usize,
+    /// Share of the time above which a region is the whole range.
+    nearly_all_share: f64,
+    /// Share of the largest diagonal that keeps columns without data from being singular.
+    ridge: f64,
+    /// Share of the error that follows a variable which a region must hold.
+    region_share: f64,
+    /// Share of the time of a range of sizes below which a range on one side is preferred to it: most faults do not know a sign.
+    narrower_share: f64,
+    /// Periods that a line has within the run at least: what is slower is a drift.
+    fewest_periods: f64,
+    /// Half width of a line's foot, in periods per run.
+    line_width: f64,
+    /// Share of its power that the next line may have for it to stand alone.
+    alone_share: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    fewest_seen: 30.0,
+    worth_mentioning_share: 0.1,
+    beyond_chance: 4.0,
+    weight_of_time: 0.85,
+    weight_of_line: 0.9,
+    parsimony: 1.03,
+    one_sided_share: 0.75,
+    one_sided_share_of_time: 0.6,
+    one_sided_windows: 20,
+    nearly_all_share: 0.75,
+    ridge: 1e-9,
+    region_share: 0.8,
+    narrower_share: 0.7,
+    fewest_periods: 4.0,
+    line_width: 2.0,
+    alone_share: 0.5,
+};
 
 /// A variable that the error follows, and what it is ranked by.
 struct Ranked {
@@ -181,7 +217,7 @@ impl Search<'_> {
             for other in 0..columns {
                 normal[(at, other)] *= inverse[at] * inverse[other];
             }
-            normal[(at, at)] += RIDGE + if inverse[at] == 0.0 { 1.0 } else { 0.0 };
+            normal[(at, at)] += SETTINGS.ridge + if inverse[at] == 0.0 { 1.0 } else { 0.0 };
         }
         let solved = normal.cholesky()?.solve(&right);
         let explained = solved.dot(&right).clamp(0.0, power);
@@ -195,7 +231,8 @@ impl Search<'_> {
             follows: ((explained - k * by_chance) / beyond).clamp(0.0, 1.0),
             strength: explained / (k * by_chance),
         };
-        (fit.follows >= WORTH_MENTIONING_SHARE && fit.strength >= BEYOND_CHANCE).then_some(fit)
+        (fit.follows >= SETTINGS.worth_mentioning_share && fit.strength >= SETTINGS.beyond_chance)
+            .then_some(fit)
     }
 
     /// How much of the error follows these rows; `None` where that is too little to be reported.
@@ -240,7 +277,7 @@ impl Search<'_> {
 
     /// The range in which most of the error lies along a variable, where it is not nearly everything.
     fn range(&self, variable: &str, region: &Region) -> ErrorForm {
-        if region.share_of_time > NEARLY_ALL_SHARE {
+        if region.share_of_time > SETTINGS.nearly_all_share {
             return ErrorForm::Throughout;
         }
         let either_way = region.of_size;
@@ -312,7 +349,7 @@ impl Search<'_> {
                 (ErrorOf::Structure, Some(own)) => ErrorForm::WindowValue { key, by, own },
                 (_, None) => ErrorForm::ValueBeside { key, by },
             };
-            Some(self.ranked(variable, region, &fit, PARSIMONY, form))
+            Some(self.ranked(variable, region, &fit, SETTINGS.parsimony, form))
         };
         keys.filter_map(one).collect()
     }
@@ -366,7 +403,7 @@ impl Search<'_> {
             }
             let determinant = cc * ss - cs * cs;
             // Seen in few windows only, as a high order is, it explains whatever happened there.
-            let is_seen = (cc + ss).powi(2) / fourth > FEWEST_SEEN;
+            let is_seen = (cc + ss).powi(2) / fourth > SETTINGS.fewest_seen;
             if determinant > 1e-6 * cc * ss && is_seen {
                 (ce * ce * ss - 2.0 * ce * se * cs + se * se * cc) / determinant
             } else {
@@ -419,7 +456,7 @@ impl Search<'_> {
             share_of_error: fit.follows,
             ..everywhere(line.frequency_hz - half_hz, line.frequency_hz + half_hz)
         };
-        Some(self.ranked("frequency_hz", region, &fit, WEIGHT_OF_LINE, form))
+        Some(self.ranked("frequency_hz", region, &fit, SETTINGS.weight_of_line, form))
     }
 
     /// A curve over time: of the equation itself, or of what multiplies its current (voltage) or its direction (torque:
@@ -450,7 +487,7 @@ impl Search<'_> {
         } else {
             self.range("time_s", &region)
         };
-        Some(self.ranked("time_s", region, &fit, WEIGHT_OF_TIME, form))
+        Some(self.ranked("time_s", region, &fit, SETTINGS.weight_of_time, form))
     }
 
     /// What is the same in every window.
@@ -462,7 +499,7 @@ impl Search<'_> {
             Balance::Voltage => "offset_v",
         };
         let region = everywhere(by.min(0.0), by.max(0.0));
-        Some(self.ranked(variable, region, &fit, PARSIMONY, ErrorForm::Offset { by }))
+        Some(self.ranked(variable, region, &fit, SETTINGS.parsimony, ErrorForm::Offset { by }))
     }
 
     /// Whether nearly all of the error falls in one direction of motion.
@@ -480,9 +517,9 @@ impl Search<'_> {
         let forward = sums[1].0 > sums[0].0;
         let (beyond, windows) = sums[usize::from(forward)];
         let (held, time) = (beyond / power, windows as f64 / count.max(1) as f64);
-        if !(held >= ONE_SIDED_SHARE
-            && time <= ONE_SIDED_SHARE_OF_TIME
-            && windows >= ONE_SIDED_WINDOWS)
+        if !(held >= SETTINGS.one_sided_share
+            && time <= SETTINGS.one_sided_share_of_time
+            && windows >= SETTINGS.one_sided_windows)
         {
             return None;
         }
@@ -503,9 +540,6 @@ pub(super) fn hat(knots: &[f64], value: f64, weight: f64, row: &mut [f64]) {
 
 /// Bins of equal population, and the share of the error that follows the variable which a region must hold.
 const BINS: usize = 24;
-const REGION_SHARE: f64 = 0.8;
-/// Share of the time of a range of sizes below which a range on one side is preferred to it: most faults do not know a sign.
-const NARROWER_SHARE: f64 = 0.7;
 
 /// A range with what lies in it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -548,7 +582,9 @@ fn narrowest(points: &[Point]) -> Option<Region> {
         return plain;
     }
     match (plain, along(points, true)) {
-        (Some(plain), Some(size)) if plain.share_of_time >= NARROWER_SHARE * size.share_of_time => {
+        (Some(plain), Some(size))
+            if plain.share_of_time >= SETTINGS.narrower_share * size.share_of_time =>
+        {
             Some(size)
         }
         (plain, size) => plain.or(size),
@@ -577,7 +613,7 @@ fn along(points: &[Point], of_size: bool) -> Option<Region> {
     let total: f64 = follows.iter().sum();
     let held = |(first, end): (usize, usize)| follows[first..=end].iter().sum::<f64>();
     let ranges = (0..BINS).flat_map(|first| (first..BINS).map(move |end| (first, end)));
-    let enough = ranges.filter(|range| held(*range) >= REGION_SHARE * total);
+    let enough = ranges.filter(|range| held(*range) >= SETTINGS.region_share * total);
     // Fewest windows; among equals the one that holds more.
     let (first, end) = enough.min_by(|a, b| {
         let lengths = (a.1 - a.0).cmp(&(b.1 - b.0));
@@ -596,13 +632,8 @@ fn along(points: &[Point], of_size: bool) -> Option<Region> {
     })
 }
 
-/// Periods that a line has within the run at least: what is slower is a drift.
-const FEWEST_PERIODS: f64 = 4.0;
 /// Steps of refinement to either side of the peak, each a fraction of the resolution.
 const REFINEMENT: i32 = 12;
-/// Half width of a line's foot, in periods per run; and share of its power that the next line may have for it to stand alone.
-const LINE_WIDTH: f64 = 2.0;
-const ALONE_SHARE: f64 = 0.5;
 /// Windows below which no spectrum is taken.
 const FEWEST_WINDOWS: usize = 64;
 
@@ -644,17 +675,17 @@ impl Search<'_> {
         }
         transform(&mut real, &mut imaginary);
         let resolution_hz = 1.0 / (size as f64 * stride_s);
-        let lowest = whole(FEWEST_PERIODS / (end_s - begin_s) / resolution_hz) + 1;
+        let lowest = whole(SETTINGS.fewest_periods / (end_s - begin_s) / resolution_hz) + 1;
         let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
         let peak = (lowest..size / 2).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
-        let width = whole(LINE_WIDTH / (end_s - begin_s) / resolution_hz);
+        let width = whole(SETTINGS.line_width / (end_s - begin_s) / resolution_hz);
         let apart = (lowest..size / 2).filter(|k| k.abs_diff(peak) > width);
         let next = apart.map(power).fold(0.0, f64::max);
         let mut line = Line {
             frequency_hz: 0.0,
             seen: 1.0,
             tried: size / 2 - lowest,
-            is_alone: next <= ALONE_SHARE * power(peak),
+            is_alone: next <= SETTINGS.alone_share * power(peak),
         };
         let power_at = |frequency_hz: f64| {
             let (mut c, mut s) = (0.0, 0.0);

@@ -28,23 +28,40 @@ const KNOTS_IN_TIME: usize = 24;
 /// Harmonics of the angle, and the knots at which the curve over a turn is given.
 const HARMONICS: usize = 4;
 const KNOTS_OF_A_TURN: usize = 16;
-/// Share of the range that two knots are apart at least.
-const CLOSEST_SHARE: f64 = 0.01;
-/// Knots that a curve has at least, and may come to have.
-const FEWEST_KNOTS: usize = 3;
-const MOST_KNOTS: usize = 32;
-/// Rounds of refining, and what each must add to the share that is explained.
-const ROUNDS: usize = 5;
-const WORTH_REFINING_SHARE: f64 = 0.004;
-/// Share of an average knot's data below which a knot is left out: the run was never there, or did not move.
-const LEAST_DATA_SHARE: f64 = 0.02;
-/// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
-/// averaged than where the winding's current is asked.
-const FEWEST_HALF_OF_TORQUE: usize = 5;
-/// Standard deviations from which on a value counts as found.
-const FOUND_SIGMAS: f64 = 3.0;
-/// Adjusted R2 below which an error is not said to follow an axis.
-const FOLLOWS_SHARE: f64 = 0.1;
+/// Thresholds of the curve over an axis.
+struct Settings {
+    /// Share of the range that two knots are apart at least.
+    closest_share: f64,
+    /// Knots that a curve has at least.
+    fewest_knots: usize,
+    /// Knots that it may come to have.
+    most_knots: usize,
+    /// Rounds of refining.
+    rounds: usize,
+    /// What each of them must add to the share that is explained.
+    worth_refining_share: f64,
+    /// Share of an average knot's data below which a knot is left out: the run was never there, or did not move.
+    least_data_share: f64,
+    /// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
+    /// averaged than where the winding's current is asked.
+    fewest_half_of_torque: usize,
+    /// Standard deviations from which on a value counts as found.
+    found_sigmas: f64,
+    /// Adjusted R2 below which an error is not said to follow an axis.
+    follows_share: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    closest_share: 0.01,
+    fewest_knots: 3,
+    most_knots: 32,
+    rounds: 5,
+    worth_refining_share: 0.004,
+    least_data_share: 0.02,
+    fewest_half_of_torque: 5,
+    found_sigmas: 3.0,
+    follows_share: 0.1,
+};
 
 /// How far the error of one equation follows one axis, and the curve.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -83,12 +100,13 @@ findings! {
 impl AxisMap {
     /// Whether enough of the error follows the axis to be reported.
     pub fn is_followed(&self) -> bool {
-        self.r2 >= FOLLOWS_SHARE
+        self.r2 >= SETTINGS.follows_share
     }
 
     /// The knot with the largest value that stands out from its uncertainty.
     fn peak(&self) -> Option<usize> {
-        let sure = |knot: &usize| self.values[*knot].abs() > FOUND_SIGMAS * self.std[*knot];
+        let sure =
+            |knot: &usize| self.values[*knot].abs() > SETTINGS.found_sigmas * self.std[*knot];
         (0..self.values.len())
             .filter(sure)
             .max_by(|a, b| self.values[*a].abs().total_cmp(&self.values[*b].abs()))
@@ -119,7 +137,7 @@ pub fn axis_map(
     let mut maps = Vec::new();
     for equation in super::equations(scenario.input) {
         let fewest_half = match equation {
-            Balance::Torque => FEWEST_HALF_OF_TORQUE,
+            Balance::Torque => SETTINGS.fewest_half_of_torque,
             Balance::Voltage => FEWEST_HALF,
         };
         let mut windows = Windows::new(model, scenario, noise, fewest_half)?;
@@ -169,14 +187,14 @@ fn knots(axis: Axis, along: &[f64]) -> Vec<f64> {
         if is_time { even } else { 0.5 * (place + even) }
     };
     let mut knots: Vec<f64> = (0..=intervals).map(at).collect();
-    knots.dedup_by(|after, before| *after - *before <= CLOSEST_SHARE * (last - first));
+    knots.dedup_by(|after, before| *after - *before <= SETTINGS.closest_share * (last - first));
     knots
 }
 
 /// Knots halfway beside the two sharpest bends of a curve.
 fn refined(knots: &[f64], values: &[f64]) -> Option<Vec<f64>> {
     let last = knots.len() - 1;
-    let closest = CLOSEST_SHARE * (knots[last] - knots[0]);
+    let closest = SETTINGS.closest_share * (knots[last] - knots[0]);
     let slope = |at: usize| (values[at + 1] - values[at]) / (knots[at + 1] - knots[at]);
     let bend = |at: usize| (slope(at) - slope(at - 1)).abs();
     let mut bends: Vec<usize> = (1..last).collect();
@@ -191,7 +209,7 @@ fn refined(knots: &[f64], values: &[f64]) -> Option<Vec<f64>> {
         }
     }
     finer.sort_by(f64::total_cmp);
-    (finer.len() > knots.len() && finer.len() <= MOST_KNOTS).then_some(finer)
+    (finer.len() > knots.len() && finer.len() <= SETTINGS.most_knots).then_some(finer)
 }
 
 /// Sines and cosines of the harmonics of an angle, times a weight, added to a row.
@@ -333,10 +351,10 @@ impl Search<'_> {
             let tried = rows(&knots);
             let data = |knot: usize| tried.iter().map(|row| row[self.own + knot].powi(2)).sum();
             let data: Vec<f64> = (0..knots.len()).map(data).collect();
-            let least = LEAST_DATA_SHARE * data.iter().sum::<f64>() / data.len() as f64;
+            let least = SETTINGS.least_data_share * data.iter().sum::<f64>() / data.len() as f64;
             let kept = knots.into_iter().zip(data).filter(|(_, data)| *data >= least);
             let knots: Vec<f64> = kept.map(|(knot, _)| knot).collect();
-            let enough = knots.len() >= FEWEST_KNOTS;
+            let enough = knots.len() >= SETTINGS.fewest_knots;
             let shape = DMatrix::identity(knots.len(), knots.len());
             let rows = enough.then(|| rows(&knots))?;
             self.axis_map(axis, knots, &shape, &rows)
@@ -344,11 +362,11 @@ impl Search<'_> {
         let mut best = fit(knots(axis, along))?;
         // Where nothing is followed a finer curve would follow the noise.
         let refines = axis != Axis::Time && best.is_followed();
-        for _ in 0..if refines { ROUNDS } else { 0 } {
+        for _ in 0..if refines { SETTINGS.rounds } else { 0 } {
             let Some(finer) = refined(&best.knots, &best.values).and_then(&fit) else {
                 break;
             };
-            if finer.r2 < best.r2 + WORTH_REFINING_SHARE {
+            if finer.r2 < best.r2 + SETTINGS.worth_refining_share {
                 break;
             }
             best = finer;
@@ -378,7 +396,7 @@ impl Search<'_> {
             values: vec![amplitude],
             std: vec![variance.max(0.0).sqrt() / line.seen],
             error_over_noise: self.over_noise(&found),
-            finding: if r2 < FOLLOWS_SHARE || !line.is_alone {
+            finding: if r2 < SETTINGS.follows_share || !line.is_alone {
                 AxisFinding::NoLine
             } else {
                 AxisFinding::Line

@@ -17,21 +17,49 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
-/// Length of a window, s.
-const WINDOW_S: f64 = 0.048;
+/// Thresholds of the windows and of what their balances lack.
+struct Settings {
+    /// Length of a window, s.
+    window_s: f64,
+    /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined.
+    dead_zone_sigmas: f64,
+    /// Whatever the noise, those below this share of the largest do.
+    dead_zone_share: f64,
+    /// The same where the noise is not known.
+    dead_zone_share_without_noise: f64,
+    /// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
+    longest_rest_share: f64,
+    /// A balance within this multiple of the noise lacks nothing that can be seen.
+    largest_nres: f64,
+    /// Without a known noise: share of the drive below which an error is arithmetic.
+    arithmetic_share: f64,
+    /// Passes of reweighting that bring least squares to least absolute values.
+    passes: usize,
+    /// Share of the mean absolute error within which an error counts as a square: without it one window of no error would weigh
+    /// as much as all others together.
+    soft_share: f64,
+    /// Windows that each parameter needs.
+    windows_each: f64,
+    /// Damping of the scaled normal matrix: parameters that the run all but ties stay finite.
+    tied: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    window_s: 0.048,
+    dead_zone_sigmas: 4.0,
+    dead_zone_share: 0.002,
+    dead_zone_share_without_noise: 0.01,
+    longest_rest_share: 0.1,
+    largest_nres: 1.15,
+    arithmetic_share: 1e-4,
+    passes: 12,
+    soft_share: 0.05,
+    windows_each: 3.0,
+    tied: 1e-9,
+};
+
 /// Samples that half a window has at least.
 pub(super) const FEWEST_HALF: usize = 3;
-/// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined...
-const DEAD_ZONE_SIGMAS: f64 = 4.0;
-/// ...and, whatever the noise, those below this share of the largest; where the noise is not known below another one.
-const DEAD_ZONE_SHARE: f64 = 0.002;
-const DEAD_ZONE_SHARE_WITHOUT_NOISE: f64 = 0.01;
-/// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
-const LONGEST_REST_SHARE: f64 = 0.1;
-/// A balance within this multiple of the noise lacks nothing that can be seen.
-const LARGEST_NRES: f64 = 1.15;
-/// Without a known noise: share of the drive below which an error is arithmetic.
-const ARITHMETIC_SHARE: f64 = 1e-4;
 
 /// One window. What is not known is NaN.
 pub(super) struct Window {
@@ -167,15 +195,17 @@ impl<'a> Windows<'a> {
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let half = whole((0.5 * WINDOW_S / period_s).round()).max(fewest_half);
+        let half = whole((0.5 * SETTINGS.window_s / period_s).round()).max(fewest_half);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
         let fastest = largest(scenario.speed_rad_s.iter().copied());
         let known =
             |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
         let dead_zone_rad_s = known(noise.speed_rad_s)
-            .map_or(DEAD_ZONE_SHARE_WITHOUT_NOISE * fastest, |level| DEAD_ZONE_SIGMAS * level)
-            .max(DEAD_ZONE_SHARE * fastest);
+            .map_or(SETTINGS.dead_zone_share_without_noise * fastest, |level| {
+                SETTINGS.dead_zone_sigmas * level
+            })
+            .max(SETTINGS.dead_zone_share * fastest);
         let torque_constant = match scenario.input {
             Input::Torque => 1.0,
             _ => model.motor.torque_constant().unwrap_or(f64::NAN),
@@ -260,7 +290,7 @@ impl<'a> Windows<'a> {
             .hypot(back_emf * speed_mean)
             .hypot(inductance * current_rate);
         let (input, input_rate) = input_over(events, times);
-        let is_resting = at_rest > LONGEST_REST_SHARE;
+        let is_resting = at_rest > SETTINGS.longest_rest_share;
         Window {
             begin,
             time_s: middle_and_half_s(times).0,
@@ -355,7 +385,7 @@ impl<'a> Windows<'a> {
             let whole = forward + back;
             (whole > 0.0).then(|| forward / whole)
         };
-        let is_seen = nres.is_none_or(|nres| nres > noise.tolerance(LARGEST_NRES));
+        let is_seen = nres.is_none_or(|nres| nres > noise.tolerance(SETTINGS.largest_nres));
         EquationBalance {
             equation: equation.key(),
             unit: equation.unit(),
@@ -365,7 +395,7 @@ impl<'a> Windows<'a> {
             forward_share_of_error: forward_share(turning_power.map(|power| power.max(0.0))),
             forward_share_of_time: forward_share(turning),
             windows,
-            fails: relative > ARITHMETIC_SHARE && is_seen,
+            fails: relative > SETTINGS.arithmetic_share && is_seen,
             ..EquationBalance::default()
         }
     }
@@ -395,16 +425,6 @@ fn input_over(events: &[(f64, f64)], times: &[f64]) -> (f64, f64) {
     (mean, rate)
 }
 
-/// Passes of reweighting that bring least squares to least absolute values.
-const PASSES: usize = 12;
-/// Share of the mean absolute error within which an error counts as a square: without it one window of no error would weigh
-/// as much as all others together.
-const SOFT_SHARE: f64 = 0.05;
-/// Windows that each parameter needs.
-const WINDOWS_EACH: f64 = 3.0;
-/// Damping of the scaled normal matrix: parameters that the run all but ties stay finite.
-const TIED: f64 = 1e-9;
-
 impl Windows<'_> {
     /// Changes of the motor's own parameters that would explain most of a balance's error, by least absolute values: a
     /// fault that is confined to a part of the run then stays there, where least squares would smear it over all of it.
@@ -413,7 +433,7 @@ impl Windows<'_> {
         let k = own_keys(equation).len();
         let mut change: DVector<f64> = DVector::zeros(k);
         let mut scale = f64::INFINITY;
-        for pass in 0..PASSES {
+        for pass in 0..SETTINGS.passes {
             let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
             let mut right: DVector<f64> = DVector::zeros(k);
             let (mut size, mut n) = (0.0, 0.0);
@@ -421,7 +441,7 @@ impl Windows<'_> {
                 let (row, error) = (window.own(equation), window.error(equation));
                 let left = error - (0..k).map(|at| row[at] * change[at]).sum::<f64>();
                 // Huber: absolute values beyond the noise, squares within.
-                let soft = window.floor(equation).max(SOFT_SHARE * scale.min(f64::MAX));
+                let soft = window.floor(equation).max(SETTINGS.soft_share * scale.min(f64::MAX));
                 let weight =
                     if pass == 0 { 1.0 } else { 1.0 / left.abs().max(soft).max(f64::MIN_POSITIVE) };
                 for at in 0..k {
@@ -434,7 +454,7 @@ impl Windows<'_> {
                 n += 1.0;
             }
             scale = size / f64::max(n, 1.0);
-            if scale <= 0.0 || n < WINDOWS_EACH * k as f64 {
+            if scale <= 0.0 || n < SETTINGS.windows_each * k as f64 {
                 return None;
             }
             let units: Vec<f64> = (0..k).map(|at| normal[(at, at)].sqrt()).collect();
@@ -446,7 +466,7 @@ impl Windows<'_> {
                 for other in 0..k {
                     normal[(at, other)] /= units[at] * units[other];
                 }
-                normal[(at, at)] += TIED;
+                normal[(at, at)] += SETTINGS.tied;
             }
             let solved = normal.cholesky()?.solve(&right);
             change = DVector::from_fn(k, |at, _| solved[at] / units[at]);
