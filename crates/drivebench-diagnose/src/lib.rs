@@ -11,11 +11,12 @@
 //!    |-> ladder       named effects join the model one by one, each rung judged on the hold-out (by a free run, or by the
 //!    |                balance of torques: mechanical); add or remove one effect: refused if the runs do not ask for it
 //!    |-> diagnose     the decision: verdict, candidates, and the same on a run that had no part in the answer
-//!    '-> next_experiment  the run that tells what these runs cannot
+//!    |-> next_experiment  the run that tells what these runs cannot
+//!    '-> limits       what these runs cannot answer, and why
 //! ```
 //!
-//! A name is given for what all runs together make likely beside everything else, and its error is told on data that the
-//! fit has not seen.
+//! A name is given for what all runs together make likely beside everything else, and its error is of data that the fit has not
+//! used. What is found is a code with numbers; the program makes the sentences.
 
 mod candidates;
 mod compare;
