@@ -8,6 +8,7 @@ use drivebench_diagnose::{
 };
 use drivebench_model::plant::{Effect, effect};
 use drivebench_model::text::number::{probability, significant, with_std, with_unit};
+use std::fmt::Write as _;
 
 /// Factor from which on it is told that intervals were widened.
 const WORTH_SAYING_RATIO: f64 = 1.05;
@@ -70,7 +71,7 @@ pub fn evidence(own: &Candidate) -> String {
         text += &veto(reason);
     }
     if let Some(other) = own.as_good_as {
-        text += &format!("; explains as much as {other}; these runs cannot tell them apart");
+        let _ = write!(text, "; explains as much as {other}; these runs cannot tell them apart");
     }
     text
 }

@@ -11,6 +11,7 @@ use drivebench_diagnose::{
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::effect;
 use drivebench_model::text::number::probability;
+use std::fmt::Write as _;
 
 /// Effects that are named one by one where these runs would not show them.
 const FEW: usize = 4;
@@ -46,7 +47,7 @@ pub fn after_name(found: &Diagnosis) -> String {
 fn parts(found: &Diagnosis) -> (&'static str, String) {
     let (begin, mut rest) = body(found);
     for id in &found.superfluous {
-        rest += &format!("; {id} is superfluous now");
+        let _ = write!(rest, "; {id} is superfluous now");
     }
     (begin, rest + &not_told(&found.added_rivals))
 }

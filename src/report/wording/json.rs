@@ -153,16 +153,16 @@ pub(crate) fn of_both<S: Serializer>(found: &Versus, serializer: S) -> Result<S:
     versus(found).serialize(serializer)
 }
 
-pub(crate) fn plate<S: Serializer>(
-    found: &Option<Nameplate>,
+pub(crate) fn plate<'a, S: Serializer>(
+    found: impl Into<Option<&'a Nameplate>>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
-    found.as_ref().map(nameplate).serialize(serializer)
+    found.into().map(nameplate).serialize(serializer)
 }
 
-pub(crate) fn drifted<S: Serializer>(
-    found: &Option<Drift>,
+pub(crate) fn drifted<'a, S: Serializer>(
+    found: impl Into<Option<&'a Drift>>,
     serializer: S,
 ) -> Result<S::Ok, S::Error> {
-    found.as_ref().map(drift).serialize(serializer)
+    found.into().map(drift).serialize(serializer)
 }
