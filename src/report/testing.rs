@@ -3,12 +3,12 @@
 use std::sync::LazyLock;
 
 use super::{Bars, Document, Table, Tone};
-use drivebench_diagnose::next_experiment::MenuEntry;
+use drivebench_diagnose::next_experiment::{MenuEntry, PairEntry, Peaks};
 use drivebench_diagnose::{
     Candidate, CandidateFinding, Comparison, Diagnosis, DiagnosisVerdict, EquationBalance,
     ErrorForm, ErrorMap, ErrorOf, Evidence, FailureLocation, Fitted, HoldoutFrom, Limit,
-    NextExperiment, Peak, Reached, Recommendation, RepeatUnknown, ResidualLights, Rung, Signals,
-    Status, compare,
+    NextExperiment, Peak, Reached, Recipe, Recommendation, RepeatUnknown, ResidualLights, Rung,
+    Signals, Status, compare,
 };
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::plant::{Model, Motor, State, effect, testing};
@@ -144,13 +144,27 @@ pub(crate) fn next_experiment() -> NextExperiment {
         finding: Recommendation::TellsApart,
         bench: None,
         pair: Some(["viscous_friction", "quadratic_load"]),
-        pairs: Vec::new(),
+        pairs: vec![PairEntry {
+            pair: ["viscous_friction", "quadratic_load"],
+            expected_separation: 8463.0,
+            needed: 612.0,
+            best_program: "slow_ramp",
+            best_separation: 8463.0,
+            best_needed: 612.0,
+        }],
         reveals: Vec::new(),
         hidden: Vec::new(),
         expected_separation: 8463.0,
         menu: vec![entry("slow_ramp", 8463.0), entry("dither", 400.0)],
-        peaks: None,
-        recipe: None,
+        peaks: Some(Peaks {
+            voltage_v: 100.0,
+            current_a: 6.0,
+            speed_rad_s: 290.0,
+            rms_current_a: 2.0,
+            travel_rad: 1000.0,
+            duration_s: 10.0,
+        }),
+        recipe: Some(Recipe { id: "slow_ramp", segments: Vec::new(), slew_v_per_s: 150.0 }),
     }
 }
 

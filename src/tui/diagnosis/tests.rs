@@ -370,7 +370,7 @@ fn keys_that_change_the_model_give_orders_and_are_answered() {
         (&at_the_floor, "", None, "+ in the model stribeck_friction"),
         (&at_the_floor, "", None, "1.03 at the floor"),
         (&at_the_floor, "", None, "NOTHING MISSING"),
-        (&refused, "", None, "refused: cogging helps only in training"),
+        (&refused, "", None, "refused: cogging is there with 4 % only"),
         (&refused, "", None, "ready"),
         (&refused, "r", None, "the model has no effect yet"),
         (&refused, "a", order(Force("cogging")), "refitting with cogging"),
