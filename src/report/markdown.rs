@@ -36,7 +36,7 @@ fn fact((label, value): &(String, String)) -> String {
 }
 
 fn items(items: impl Iterator<Item = String>) -> String {
-    format!("\n{}", items.map(|item| format!("- {item}\n")).collect::<String>())
+    items.fold("\n".to_owned(), |list, item| list + "- " + &item + "\n")
 }
 
 fn markdown(block: &Block) -> String {

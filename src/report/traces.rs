@@ -73,8 +73,8 @@ fn signal_panels(run: &ConfirmRun, own: &SignalTrace) -> (Panel, Panel) {
     let mut signal =
         Panel::new(name, unit).sampled("measured", Style::Measured, &own.time_s, &own.measured);
     let mut residual = Panel::new(format!("{name}, measured - model"), unit).with_height(110.0);
-    let after = run.after.iter().flat_map(|run| &run.signals);
-    let after = after.filter(|other| other.quantity == own.quantity).next();
+    let mut after = run.after.iter().flat_map(|run| &run.signals);
+    let after = after.find(|other| other.quantity == own.quantity);
     let [before_name, after_name] = model_names(after.is_some());
     let style = if after.is_some() { Style::Before } else { Style::After };
     let models = [(before_name, style, Some(own)), (after_name, Style::After, after)];

@@ -222,7 +222,7 @@ impl Discovery {
         }
         // Of a model that was changed by hand the sizes stay that were published with the change.
         let ids = diagnosis.baseline.model.effect_ids();
-        if !self.fitted.as_ref().is_some_and(|fitted: &Fitted| fitted.model.effect_ids() == ids) {
+        if self.fitted.as_ref().is_none_or(|fitted| fitted.model.effect_ids() != ids) {
             self.fitted = Some(diagnosis.baseline.clone());
         }
         self.curves.clone_from(&diagnosis.axis_map);

@@ -8,7 +8,7 @@
 //!
 //! guide.rs: what each step needs and unlocks, and which command does the same.
 //! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
-//! provisional_ranking.rs ranks the effects by the residual of a run that still goes on.
+//! `provisional_ranking.rs` ranks the effects by the residual of a run that still goes on.
 //! suite/ reads a suite of bench tests and judges what came of its cases.
 //! truth.rs sets what a software drive hides beside the answer, after the analysis.
 //!

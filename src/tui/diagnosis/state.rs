@@ -248,7 +248,7 @@ impl State {
                 }
             }
             News::Recommended(next) => {
-                (self.next, self.next_pending) = (next.map(Arc::from), false)
+                (self.next, self.next_pending) = (next.map(Arc::from), false);
             }
             News::Added(result) => self.changed(true, *result),
             News::Removed(result) => self.changed(false, *result),

@@ -273,12 +273,12 @@ fn unexplained() -> State {
     state
 }
 
-/// `n` without a limit of the answer, and the run that was recommended then; `None` while it is looked for.
-fn next_run(recommended: Option<Option<NextExperiment>>) -> State {
+/// `n` without a limit of the answer; without this news the next run is still planned.
+fn next_run(recommended: Option<News>) -> State {
     let mut state = searching();
     answer(&mut state, Diagnosis { limits: Vec::new(), ..diagnosis() });
-    if let Some(next) = recommended {
-        receive(&mut state, News::Recommended(next.map(Box::new)));
+    if let Some(news) = recommended {
+        receive(&mut state, news);
     }
     pressed(state, "n")
 }
@@ -292,7 +292,9 @@ fn responded(response: Result<Compared, String>) -> State {
 /// Left while the model is being written; then this came.
 fn leaving(news: Option<News>) -> State {
     let mut state = pressed(answered(), "wq");
-    news.into_iter().for_each(|news| receive(&mut state, news));
+    if let Some(news) = news {
+        receive(&mut state, news);
+    }
     state
 }
 
@@ -349,13 +351,10 @@ fn bare() -> State {
     State::new(String::new())
 }
 
-fn order(order: Order) -> Option<Effect> {
-    Some(Effect::Order(order))
-}
-
 #[test]
 fn keys_that_change_the_model_give_orders_and_are_answered() {
     use Order::{Add, Force, Remove, Undo};
+    let order = |order| Some(Effect::Order(order));
     let undone = News::Undone { effect: "stribeck_friction", present: Vec::new() };
     let mut taken_back = pressed(at_the_floor(), "u");
     receive(&mut taken_back, undone);
@@ -391,9 +390,11 @@ fn keys_that_change_the_model_give_orders_and_are_answered() {
 #[test]
 fn keys_of_pages_show_them_or_say_what_is_missing() {
     use Order::{AddCurve, Diagnose, Respond, Write};
+    let order = |order| Some(Effect::Order(order));
     let leave = |exit| Some(Effect::Leave(exit));
     let comparing = || State::of_a_comparison(String::new(), ErrorOf::Model);
-    let reveals = || NextExperiment { pair: None, ..next_experiment() };
+    let reveals = NextExperiment { pair: None, ..next_experiment() };
+    let reveals = || News::Recommended(Some(Box::new(reveals.clone())));
     let response = crate::tui::response::tests::compared;
     let no_response = || responded(Err("the run holds its voltage all the time".to_owned()));
     let full = || leaving(Some(News::NotWritten("the disk is full".to_owned())));
@@ -428,8 +429,8 @@ fn keys_of_pages_show_them_or_say_what_is_missing() {
         (&ambiguous, "n", None, "run a slow ramp"),
         (&ambiguous, "nn", None, "effects: status"),
         (&|| next_run(None), "", None, "being looked for"),
-        (&|| next_run(Some(None)), "", None, "none is asked for"),
-        (&|| next_run(Some(Some(reveals()))), "", None, "foreseen precision"),
+        (&|| next_run(Some(News::Recommended(None))), "", None, "none is asked for"),
+        (&|| next_run(Some(reveals())), "", None, "foreseen precision"),
         (&answered, "w", order(Write), "… writing the model"),
         (&answered, "ww", None, "not yet: the model is being written"),
         (&|| leaving(None), "", None, "leaves when the model is written"),

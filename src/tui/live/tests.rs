@@ -331,6 +331,9 @@ const STOP_AND_QUIT: [Effect; 2] = [Effect::Send(Intent::Quit), Effect::RequestS
 const START: Effect = Effect::Send(Intent::Start);
 const RESET: Effect = Effect::Send(Intent::ResetFault);
 
+/// A state, keys, what the last of them asks for, and a part of what the screen then shows.
+type Row<'a> = (&'a dyn Fn() -> Model, &'a str, Vec<Effect>, &'a str);
+
 #[test]
 fn each_key_asks_for_its_effect_and_the_screen_answers() {
     use DriveState::{Fault, Ready, Running};
@@ -343,8 +346,7 @@ fn each_key_asks_for_its_effect_and_the_screen_answers() {
     let led = |snapshot| with(&model(snapshot), |own| own.leads = Some("back to the loop"));
     let mark = Effect::Send(Intent::Mark("mark 1".to_owned()));
     let (hard, none) = (|| in_phase(Some(Safe), Hardware), Vec::new);
-    // A state, keys, what the last of them asks for, and a part of what the screen then shows.
-    let rows: &[(&dyn Fn() -> Model, &str, Vec<Effect>, &str)] = &[
+    let rows: &[Row<'_>] = &[
         (&|| model(running()), "q", none(), "stop first: Space"),
         (&|| with_drive(Connecting, Hardware, Running), "q", none(), "stop first: Space"),
         (&|| finished(model(running())), "q", leave(Finished), "output off"),
