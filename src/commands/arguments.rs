@@ -54,11 +54,10 @@ impl MapArguments {
 
     /// The maps as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
-        [("map", &self.map), ("map-holdout", &self.map_holdout)]
-            .into_iter()
-            .filter_map(|(name, map)| Some((name, map.as_deref()?)))
-            .map(|(name, map)| format!(" --{name} {}", output::quoted_word(map)))
-            .collect()
+        let option = |(name, map): (&str, &str)| format!(" --{name} {}", output::quoted_word(map));
+        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
+        let given = maps.into_iter().filter_map(|(name, map)| Some((name, map.as_deref()?)));
+        given.map(option).collect()
     }
 
     /// Opens the run with its map; the origins of the command line go before those of a manifest.
@@ -439,7 +438,7 @@ impl LiveArguments {
             switch("headless", self.headless),
             switch("hardware", self.hardware),
         ];
-        given.into_iter().flatten().map(|option| format!(" {option}")).collect()
+        given.into_iter().flatten().flat_map(|option| [" ".to_owned(), option]).collect()
     }
 
     /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.

@@ -95,7 +95,8 @@ impl Standing {
 
     /// The changes by hand, and whether the answer below is older than they are; empty where nothing was changed.
     pub(crate) fn heading(&self) -> String {
-        let mut text: String = self.changes.iter().map(|change| format!("{change}\n")).collect();
+        let mut text: String =
+            self.changes.iter().flat_map(|change| [change.as_str(), "\n"]).collect();
         if self.since > 0 {
             let last = match self.since {
                 1 => "change".to_owned(),

@@ -125,11 +125,10 @@ fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records:
     if next.is_some_and(|next| next.bench.is_some()) {
         document.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
         // A run that was not made judges nothing.
-        let judging: String = ["--holdout", "--confirm"]
-            .iter()
-            .zip(&records[1..])
-            .map(|(option, run)| format!(" {option} {}", quoted(run.folder.path())))
-            .collect();
+        let option =
+            |(name, run): (&str, &Recorded)| format!(" --{name} {}", quoted(run.folder.path()));
+        let judging: String =
+            ["holdout", "confirm"].into_iter().zip(&records[1..]).map(option).collect();
         document.go_on(format!(
             "drivebench diagnose {} --model baseline{judging} --with NEW_RUN",
             quoted(folder)

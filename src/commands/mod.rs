@@ -168,7 +168,7 @@ fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
         Command::Analyse(arguments) => analyse::execute(&arguments, terminal),
         Command::Replay(arguments) => replay::execute(&arguments, terminal),
         Command::Simulate(arguments) => simulate::execute(&arguments, terminal),
-        Command::Test(arguments) => test::execute(arguments, terminal),
+        Command::Test(arguments) => test::execute(&arguments, terminal),
         Command::Compare(arguments) => compare::execute(&arguments, terminal),
         Command::View(arguments) => view::execute(&arguments, terminal),
         Command::Bode(arguments) => bode::execute(&arguments, terminal),

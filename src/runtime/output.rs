@@ -94,7 +94,9 @@ impl Drop for Held {
         let mut messages = self.0.messages();
         let held = std::mem::take(&mut messages.destination);
         if let Destination::Screen(texts) = held {
-            texts.iter().for_each(|text| messages.message(text));
+            for text in &texts {
+                messages.message(text);
+            }
         }
     }
 }

@@ -141,7 +141,7 @@ impl Analysed {
 }
 
 /// The checksum of all that a row depends on beside its run and the program's version: options, and the model file's text.
-fn analysis_of(arguments: &Arguments) -> String {
+fn checksum_of(arguments: &Arguments) -> String {
     let options = format!("{:?} {:?} {}", arguments.map, arguments.scheme, arguments.diagnose);
     let model = arguments.model.as_ref().and_then(|path| std::fs::read(path).ok());
     format!("{:016x}", fnv_1a(fnv_1a(EMPTY, options.bytes()), model.unwrap_or_default()))
@@ -179,12 +179,12 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     if let Some(shard) = arguments.shard {
         runs = block(runs, shard);
     }
-    let analysis = analysis_of(arguments);
+    let checksum = checksum_of(arguments);
     let all = columns.all();
     let table = arguments
         .out
         .as_deref()
-        .map(|path| Table::open(path, all.clone(), &analysis, arguments.resume, &named, terminal));
+        .map(|path| Table::open(path, all.clone(), &checksum, arguments.resume, &named, terminal));
     drop(named);
     let sink = Sink { table: table.transpose()?, columns: all, is_json: arguments.json, terminal };
     if sink.table.is_none() && !sink.is_json {
@@ -198,7 +198,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     terminal.stage("analyses the runs", runs.len());
     let analysis = Analysis {
         arguments,
-        analysis,
+        checksum,
         columns,
         runs,
         // Rows that may wait for one before them.
@@ -297,8 +297,8 @@ impl Order<'_> {
 /// What the workers share.
 struct Analysis<'a> {
     arguments: &'a Arguments,
-    /// As [`analysis_of`].
-    analysis: String,
+    /// By [`checksum_of`].
+    checksum: String,
     columns: Columns,
     runs: Vec<PathBuf>,
     window: usize,

@@ -279,7 +279,7 @@ pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Cel
             Err(Failure::new(INTERNAL, "a fault of the program, which this run brings about"))
         });
     let (status, reason) = judged(ended, &found);
-    let known = (&*name(run), &*request.analysis, content);
+    let known = (&*name(run), &*request.checksum, content);
     let columns = request.columns.of_run(known, (status, &reason), &found, terminal.collected());
     (columns.into_iter().map(|(_, _, cell)| cell).collect(), status)
 }

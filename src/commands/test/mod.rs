@@ -94,13 +94,13 @@ pub(super) struct Arguments {
     json: bool,
 }
 
-pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
+pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let name = arguments.suite.display().to_string();
     let suite = Suite::parse(&name, &read_text(&arguments.suite)?, options_of)?;
     if arguments.list {
-        return list(&suite, &arguments, terminal);
+        return list(&suite, arguments, terminal);
     }
-    let outcome = carry_out(&suite, &arguments, terminal)?;
+    let outcome = carry_out(&suite, arguments, terminal)?;
     terminal.result(&outcome, arguments.json, text)?;
     match outcome.exit_status() {
         0 => Ok(()),
