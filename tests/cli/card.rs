@@ -153,7 +153,7 @@ fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
     let unknown = BENCH.replace("[motor]", "[motor]\nunknown = true");
     desk.put("bench.toml", BENCH);
     desk.put("unknown.toml", &unknown);
-    desk.call("run --headless --port sim: --seed 7").expect(0).stdout;
+    desk.call("run --headless --port sim: --seed 7").expect(0);
     for command in PRINTED.lines().filter(|line| !line.is_empty()) {
         let mut process = std::process::Command::new(BINARY);
         let words = command.split(' ');
@@ -232,7 +232,7 @@ fn a_brush_drop_is_no_other_motor_for_a_run_either() {
 #[test]
 fn compare_names_its_model_and_agrees_with_diagnose() {
     let desk = Desk::new();
-    desk.call("run --headless --port sim: --seed 7 --out runs").expect(0).stdout;
+    desk.call("run --headless --port sim: --seed 7 --out runs").expect(0);
     let run = run_of(&desk, "emulated");
     let of = |command: String| -> Value {
         serde_json::from_str(&desk.call(&command).expect(0).stdout).expect("JSON")
@@ -251,7 +251,7 @@ fn compare_names_its_model_and_agrees_with_diagnose() {
 fn what_was_nearly_right_is_named() {
     let desk = Desk::new();
     for _ in 0..2 {
-        desk.call("run --headless --port sim: --seed 7 --out runs").expect(0).stdout;
+        desk.call("run --headless --port sim: --seed 7 --out runs").expect(0);
     }
     let said = |command: &str| desk.call(command).stderr;
     has(&said("compare runs"), &["a folder of 2 runs", "did you mean the latest of them, runs/"]);

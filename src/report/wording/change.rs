@@ -46,9 +46,8 @@ fn reason(result: &AddResult) -> String {
         ChangeFinding::NotShown => removed("would not show in these runs, which do not ask for it"),
         ChangeFinding::There { rivals } => {
             let rivals = listed(", which these runs cannot tell from ", rivals, " and ", "");
-            let superfluous = result.superfluous.iter();
-            let superfluous: String =
-                superfluous.map(|id| format!("; {id} is superfluous now")).collect();
+            let superfluous = (result.superfluous.iter())
+                .fold(String::new(), |end, id| end + "; " + id + " is superfluous now");
             format!("{name} is there with {likely}{rivals}; with it {fall}{superfluous}")
         }
         ChangeFinding::NotThere { beside, would_show } => {

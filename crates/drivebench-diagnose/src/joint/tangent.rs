@@ -364,7 +364,7 @@ pub(super) fn propagate(
     for (lane, tangent) in tangents.iter().enumerate() {
         match tangent {
             Tangent::Offset(offset) => {
-                (sensor_error[0][lane], sensor_error[1][lane]) = (offset[0], offset[1])
+                (sensor_error[0][lane], sensor_error[1][lane]) = (offset[0], offset[1]);
             }
             Tangent::ReadingDelay(by_s) => late.push((lane, *by_s)),
             _ => {}
