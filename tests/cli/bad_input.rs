@@ -216,7 +216,7 @@ fn an_unusable_file_is_status_2_for_every_command() {
         ("no voltage", spoilt(|row| row[1..].fill(nan))),
         ("neither current nor speed", spoilt(|row| row[2..].fill(nan))),
         ("neither current nor speed", spoilt_csv("time_s,voltage_v", |_| {})),
-        ("no column", spoilt_csv("time_s", |_| {})),
+        ("no known column", spoilt_csv("time_s", |_| {})),
         ("inf", after(3.0, 0, f64::INFINITY)),
         ("size up to 1e12", spoilt(|row| row[0] *= 1e20)),
         ("\"current_a\": 1e300", after(7.9, 2, 1e300)),

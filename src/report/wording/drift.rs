@@ -34,12 +34,12 @@ pub fn drift(found: &Drift) -> String {
     } else if !unsettled.is_empty() {
         format!("not settled whether there is a drift since {since}: {unsettled}")
     } else if found.changes.is_empty() {
-        "nothing can be said: no parameter is carried by the runs of both dates".to_owned()
+        "no comparison: no parameter is observable in the runs of both dates".to_owned()
     } else if let Some(open) = open {
         let most = significant(open.into_iter().fold(0.0, f64::max), 2);
         format!(
-            "no drift shown since {since}: {count} parameters compared, no change larger than {most} % is left open (95 % for \
-             each alone)"
+            "no drift shown since {since}: {count} parameters compared, a change larger than {most} % is excluded (95 % for each \
+             alone)"
         )
     } else {
         format!("no drift shown since {since}: {count} parameters compared")
@@ -63,12 +63,12 @@ pub fn change(change: &Change, since: &str) -> String {
             format!("{name} {} since {since}, {chance} by chance{cause}", size(change))
         }
         (DriftFinding::Unsettled, _) => format!(
-            "{name} {} since {since}: beyond the noise within the runs, and too few of them to tell how far this machine moves \
-             from run to run of itself; repeat the run",
+            "{name} {} since {since}: more than the noise within the runs, but there are too few runs to know the variation \
+             from run to run; repeat the run",
             size(change)
         ),
         (DriftFinding::Bounded, Some(most)) => format!(
-            "{name}: no change larger than {} % is left open (95 %) since {since}",
+            "{name}: a change larger than {} % is excluded (95 %) since {since}",
             significant(most, 2)
         ),
         (DriftFinding::Bounded | DriftFinding::NotShown, _) => {
@@ -77,14 +77,14 @@ pub fn change(change: &Change, since: &str) -> String {
     }
 }
 
-/// What may be behind a change.
+/// Possible cause of a change.
 pub fn cause(cause: &DriftCause) -> String {
     let words = match cause {
         DriftCause::Winding { kelvin, warmer } => {
             let (kelvin, warmth) =
                 (significant(*kelvin, 2), if *warmer { "warmer" } else { "colder" });
             return format!(
-                "a winding some {kelvin} K {warmth}, where that is all of it; connections or brushes"
+                "a winding about {kelvin} K {warmth}, if that is the only cause; connections or brushes"
             );
         }
         DriftCause::LessSaturation => "less saturation: a smaller current",
@@ -103,7 +103,7 @@ pub fn cause(cause: &DriftCause) -> String {
     words.to_owned()
 }
 
-/// What the intervals do not hold, and what the runs are not known to have in common; none where nothing is missing.
+/// Variation that the intervals do not contain; none where they are complete.
 pub fn caution(found: &Drift) -> Option<String> {
     let cautions: Vec<String> = found.cautions.iter().map(one_caution).collect();
     (!cautions.is_empty()).then(|| cautions.join("; "))
@@ -116,11 +116,11 @@ fn one_caution(caution: &DriftCaution) -> String {
             let of = names.join(", ");
             let of = if of.is_empty() { of } else { format!(" with {of}") };
             return format!(
-                "one run on each side{of}: how far this machine moves from run to run of itself is not known, and in no interval"
+                "one run on each side{of}: the variation of this machine from run to run is not known, and no interval contains it"
             );
         }
         DriftCaution::OtherExcitation => {
-            "excited otherwise than then, or not known to be alike: what the model lacks may look like a drift"
+            "excited otherwise than then, or not known to be alike: an effect that the model lacks may look like a drift"
         }
         DriftCaution::UnknownUnit => "no serial number: not known to be the same unit",
         DriftCaution::SameFigures => {
@@ -138,9 +138,9 @@ fn one_caution(caution: &DriftCaution) -> String {
 /// Why a parameter was not compared.
 pub fn not_compared(found: &NotCompared) -> String {
     let reason = match found.not_carried {
-        NotCarried::ByEither => "not carried by the runs of either date",
-        NotCarried::Before => "not carried by the earlier runs",
-        NotCarried::After => "not carried by the later runs",
+        NotCarried::ByEither => "not observable in the runs of either date",
+        NotCarried::Before => "not observable in the earlier runs",
+        NotCarried::After => "not observable in the later runs",
     };
     let own = found.own_reason.as_ref();
     own.map_or_else(|| reason.to_owned(), |own| format!("{reason}: {own}"))
@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drift_is_told_with_its_interval_and_cause() {
+    fn a_drift_has_its_interval_and_cause() {
         let found = between(&[run(0.45, 0.003)], &[run(0.504, 0.003)], "2026-03-01");
         let [friction, inertia] = &found.changes[..] else { panic!("{found:?}") };
         assert_eq!(
@@ -190,7 +190,7 @@ mod tests {
         );
         assert_eq!(
             change(inertia, &found.since),
-            "inertia: no change larger than 0.62 % is left open (95 %) since 2026-03-01"
+            "inertia: a change larger than 0.62 % is excluded (95 %) since 2026-03-01"
         );
         assert_eq!(
             drift(&found),
@@ -200,6 +200,6 @@ mod tests {
         let size = size(&near_zero.changes[0]);
         assert_eq!(size, "+0.20 N.m (95 % interval +0.17 to +0.23 N.m)");
         let caution = caution(&found).unwrap();
-        assert!(caution.starts_with("one run on each side: how far"), "{caution}");
+        assert!(caution.starts_with("one run on each side: the variation"), "{caution}");
     }
 }

@@ -30,9 +30,9 @@ pub fn limit(limit: &Limit) -> String {
             format!("errors are those of the balance of torques ({})", derivation(of))
         }
         Limit::LostRows { expected, most, highest } => format!(
-            "nobody knows what was commanded in the rows that the hold-out lacks: that alone makes about {expected:.1} times the \
-             noise of its error, and up to {most:.1} is allowed for; an error below {highest:.1} times the noise may be all \
-             theirs"
+            "the commands in the rows that the hold-out lacks are unknown: they alone cause an error of about {expected:.1} times \
+             the noise, and up to {most:.1} is allowed for; an error below {highest:.1} times the noise may be due to them \
+             alone"
         ),
         Limit::NothingRuledOut(why) => format!("nothing is ruled out: {}", why_open(*why)),
         Limit::RepeatUnknown(why) => {
@@ -125,10 +125,10 @@ fn searched(part: &SearchedPart) -> String {
 pub(super) const fn why_open(why: WhyOpen) -> &'static str {
     match why {
         WhyOpen::SearchCut => {
-            "the search was ended by its budget of work before a set of effects stood"
+            "the search reached its limit of work before the set of effects was stable"
         }
         WhyOpen::FarFromNoise => {
-            "the best model leaves several times the noise, so that bounds by it do not hold"
+            "the residuals of the best model are several times the noise, so that its bounds do not hold"
         }
     }
 }
@@ -137,7 +137,7 @@ pub(super) const fn why_open(why: WhyOpen) -> &'static str {
 pub fn derivation(of: &Derivation) -> String {
     match of {
         Derivation::WeakForm { window_s, dead_zone_rad_s } => format!(
-            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, nothing differentiated; windows that touch \
+            "weak form: windows of {:.0} ms with the test function (1 - s^2)^4, without differentiation; windows with \
              speeds below {dead_zone_rad_s:.3} rad/s left out",
             1e3 * window_s,
         ),

@@ -9,26 +9,26 @@ use drivebench_model::text::number::{significant, with_std};
 pub fn nameplate(found: &Comparison) -> String {
     let fits = match found.finding() {
         NameplateFinding::Doubted => found.doubt.as_ref().map_or_else(String::new, doubt),
-        NameplateFinding::NotJudged => "not judged: nothing was identified that it says".to_owned(),
+        NameplateFinding::NotJudged => "not judged: none of its values was identified".to_owned(),
         NameplateFinding::Fits => "fits".to_owned(),
         NameplateFinding::FitsInPart => {
             let open: Vec<&str> = found.open().collect();
-            format!("fits but for what was not told: {}", open.join(", "))
+            format!("fits, except for values that were not identified: {}", open.join(", "))
         }
         NameplateFinding::DoesNotFit => "does NOT fit".to_owned(),
     };
     format!("nameplate {fits} (within {:.0} % and the uncertainty)", 100.0 * found.tolerance)
 }
 
-/// Why differences are no fault of the nameplate.
+/// Reason for which differences are not attributed to the nameplate.
 pub fn doubt(found: &NameplateDoubt) -> String {
     match found {
         NameplateDoubt::ModelMisses { times_noise } => format!(
-            "not judged: the five-parameter model leaves {times_noise:.1} times the noise, and what it misses may be in these \
-             values; drivebench diagnose names it"
+            "not judged: the residual of the five-parameter model is {times_noise:.1} times the noise, and what it misses may \
+             bias these values; drivebench diagnose names it"
         ),
         NameplateDoubt::NotCompared { message } => format!(
-            "not judged: the five-parameter model cannot be held against this run ({message})"
+            "not judged: the five-parameter model cannot be compared with this run ({message})"
         ),
     }
 }
@@ -42,15 +42,15 @@ pub fn row(row: &Row) -> String {
     match finding {
         RowFinding::Fits | RowFinding::Differs | RowFinding::NotJudged => {
             let times = row.ratio.map_or_else(String::new, |ratio| match ratio {
-                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the plate"),
-                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the plate", 1.0 / ratio),
+                ratio if ratio >= 2.0 => format!(": {ratio:.1} times the nameplate"),
+                ratio if ratio <= 0.5 => format!(": 1/{:.1} of the nameplate", 1.0 / ratio),
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
             let misfit = if finding == RowFinding::Differs { ", does not fit" } else { "" };
             format!("{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}", found(), plate())
         }
         RowFinding::NotIdentified => format!(
-            "{name}: nameplate {} {unit}, not told from the data ({})",
+            "{name}: nameplate {} {unit}, not identified ({})",
             plate(),
             row.reason.as_deref().unwrap_or("not estimated")
         ),
@@ -60,7 +60,7 @@ pub fn row(row: &Row) -> String {
     }
 }
 
-/// What would explain the differences.
+/// Possible cause of the differences.
 pub fn cause(cause: &NameplateCause) -> String {
     let words = match cause {
         NameplateCause::RpmForRadPerS => "speed in r/min taken for rad/s (factor 9.55)",
@@ -72,12 +72,12 @@ pub fn cause(cause: &NameplateCause) -> String {
             "speed in turns per second taken for rad/s (factor 1/6.28)"
         }
         NameplateCause::PulsesHalf => {
-            "encoder pulses per turn given as half of what they are, or edges counted twice"
+            "encoder pulses per turn set to half of the true number, or edges counted twice"
         }
         NameplateCause::LinesForEdges => {
             "encoder pulses per turn: lines given, quadrature edges counted (factor 4)"
         }
-        NameplateCause::PulsesTwice => "encoder pulses per turn given as twice what they are",
+        NameplateCause::PulsesTwice => "encoder pulses per turn set to twice the true number",
         NameplateCause::EdgesForLines => {
             "encoder pulses per turn: edges given, lines counted (factor 1/4)"
         }
@@ -95,7 +95,7 @@ pub fn cause(cause: &NameplateCause) -> String {
         }
         NameplateCause::VoltageScale { factor } => {
             return format!(
-                "voltage is {factor:.2} times what reaches the motor (scaling of the command, supply)"
+                "voltage is {factor:.2} times that at the motor (scaling of the command, supply)"
             );
         }
         NameplateCause::WarmWinding { kelvin } => {
@@ -105,16 +105,20 @@ pub fn cause(cause: &NameplateCause) -> String {
         }
         NameplateCause::Contacts => "resistance of leads, brushes or contacts; or another winding",
         NameplateCause::OtherWinding => {
-            "another winding, or a resistance on the plate that includes more than the armature"
+            "another winding, or a resistance on the nameplate that includes more than the armature"
         }
         NameplateCause::LoadInertia => {
-            "a load on the shaft (or none), or a plate that gives the rotor alone"
+            "a load on the shaft (or none), or a nameplate that gives the rotor alone"
         }
-        NameplateCause::Friction => "friction of load, bearings or brake is not what was expected",
+        NameplateCause::Friction => {
+            "friction of load, bearings or brake differs from the nameplate"
+        }
         NameplateCause::Saturation => {
-            "saturation, another way of measuring the inductance, or another winding"
+            "saturation, another method of measuring the inductance, or another winding"
         }
-        NameplateCause::LoadOnShaft => "the load on the shaft: winding and back-EMF fit the plate",
+        NameplateCause::LoadOnShaft => {
+            "the load on the shaft: winding and back-EMF fit the nameplate"
+        }
         NameplateCause::AnotherMotor => {
             "another motor than the one on the nameplate: no single sensor factor explains the differences"
         }
