@@ -226,7 +226,7 @@ fn a_brush_drop_is_no_other_motor_for_a_run_either() {
     let run = "run --headless --port sim: --emulator zk-22fc-brushes --seed 7 --out runs";
     let text = desk.call(run).expect(0).stdout;
     lacks(&text, &["does NOT fit", "another motor"]);
-    has(&text, &["plate     nameplate not judged: the five-parameter model leaves "]);
+    has(&text, &["plate     nameplate not judged: the residual of the five-parameter model is "]);
 }
 
 #[test]
