@@ -9,6 +9,7 @@ use std::f64::consts::PI;
 
 use serde::Serialize;
 
+use super::temperature::COPPER_PER_K;
 use drivebench_model::findings;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
@@ -250,7 +251,7 @@ fn causes(rows: &[Row]) -> Vec<NameplateCause> {
         return causes;
     }
     vec![if only(MotorKey::Resistance) {
-        let kelvin = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / 0.0039);
+        let kelvin = ratio(MotorKey::Resistance).map_or(0.0, |ratio| (ratio - 1.0) / COPPER_PER_K);
         // No winding is more than 130 K warmer than that of the nameplate.
         if (0.0..=130.0).contains(&kelvin) {
             NameplateCause::WarmWinding { kelvin }
