@@ -15,10 +15,6 @@ pub enum Actuator {
 impl Actuator {
     pub const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Speed];
 
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|actuator| actuator.name() == name)
-    }
-
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Voltage => "V",

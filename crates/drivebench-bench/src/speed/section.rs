@@ -33,10 +33,6 @@ impl ControllerKind {
         }
     }
 
-    pub fn from_id(id: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.id() == id)
-    }
-
     /// Behind a speed command the drive's own loop hides the inertia that ADDC would follow; the
     /// others are models of a voltage and its winding.
     pub const fn actuators(self) -> &'static [Actuator] {
@@ -67,10 +63,6 @@ impl ForwardUse {
             Self::On => "on",
             Self::Compare => "compare",
         }
-    }
-
-    pub fn from_id(id: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|used| used.id() == id)
     }
 
     /// Whether each pass over the reference has it.
@@ -293,7 +285,6 @@ mod tests {
     #[test]
     fn the_keys_of_a_bench_file_are_the_ids() {
         for kind in ControllerKind::ALL {
-            assert_eq!(ControllerKind::from_id(kind.id()), Some(kind));
             assert_eq!(toml::Value::try_from(kind).unwrap().as_str(), Some(kind.id()));
         }
     }

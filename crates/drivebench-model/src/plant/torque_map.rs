@@ -34,10 +34,6 @@ impl MappedTorque {
         }
     }
 
-    pub fn from_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|torque| torque.name() == name)
-    }
-
     /// Key and unit of the axis.
     pub const fn axis(self) -> (&'static str, &'static str) {
         match self {
