@@ -1,8 +1,8 @@
 //! The adaptive control of paper A: Figures 5 and 6 (steps of the reference with fixed gains and with adaptation), what the
-//! text says beside the block diagram of Figure 7 (ADDC against MRAC), and every regulator on the same cases.
+//! text states about the block diagram of Figure 7 (ADDC against MRAC), and every regulator on the same cases.
 //!
 //! In Figure 5, of which the text gives no data, the adaptation joins in the middle; in Figure 6 TM jumps from 0.2 to 0.05
-//! to 1 s. MRAC adapts sooner, the text says of Figure 7, and ADDC needs no disconnection in saturation: both is measured.
+//! to 1 s. The text to Figure 7: MRAC adapts sooner, ADDC needs no disconnection in saturation. Both claims are measured.
 
 use serde::Serialize;
 
@@ -121,7 +121,7 @@ pub(super) fn figure_5(bench: &Bench) -> Figure5 {
     }
 }
 
-/// The square wave over a shaft of this TM under a regulator to which the adaptation joins, and what became of it.
+/// The trace of the square wave with this TM, and the regulator, whose adaptation starts at cycle `joins_at`.
 fn joined(
     bench: &Bench,
     joins_at: usize,
@@ -325,10 +325,6 @@ pub struct Figure7 {
 }
 
 impl Figure7 {
-    pub fn saturated_of(&self, kind: Kind) -> Option<&Saturated> {
-        self.saturated.iter().find(|run| run.controller == kind)
-    }
-
     /// ADDC, ADDC by forgetting alone and MRAC in the same case.
     fn cases(&self) -> impl Iterator<Item = [&Adaptation; 3]> {
         let cases = self.adaptation.chunks_exact(RIVALS.len());

@@ -94,7 +94,7 @@ impl CurveChart {
     }
 }
 
-/// One of the ten kinds of lines that the style sheet tells apart; more curves begin again.
+/// Class of one of the ten kinds of lines in the style sheet; more curves begin again.
 fn class(index: usize) -> String {
     format!("k{}", index % 10)
 }

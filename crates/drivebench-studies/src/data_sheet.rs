@@ -1,4 +1,4 @@
-//! Paper B's data sheet, held against itself, and what its average model leaves out: the switches' drop of eq. (1) and the
+//! Paper B's data sheet, checked for consistency, and what its average model leaves out: the switches' drop of eq. (1) and the
 //! torque ripple that the factor 0.827 averages away.
 
 use serde::Serialize;
@@ -63,7 +63,7 @@ const SWITCHES_V: f64 = 2.0;
 /// Steps of the commutation per electrical turn.
 pub(super) const STEPS: f64 = 6.0;
 
-/// A value of the sheet beside the same from its other values.
+/// A value of the sheet, and the same computed from its other values.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Check {
     pub what: &'static str,

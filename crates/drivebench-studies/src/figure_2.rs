@@ -1,6 +1,6 @@
 //! Figure 2: scheme 1 (voltage and speed give TM, Ta, Ke, J, Mc), beta 0.97, S/N <= 10, TM doubled at k = 900.
 //!
-//! The paper says neither where the noise enters nor what S/N is a ratio of. As an equation error, the figure can be met;
+//! The paper states neither where the noise enters nor what S/N is a ratio of. As an equation error, the figure can be met;
 //! with the same ratio on the speed sensor it cannot, whatever the form: least squares is then biased. The instrumental
 //! variables are not, but they need hundreds of samples, and get the sample of the jump here.
 
@@ -71,7 +71,7 @@ impl Method {
         }
     }
 
-    /// Told of the jump, and without forgetting.
+    /// With the known sample of the jump, and without forgetting.
     pub(super) const fn is_batch(self) -> bool {
         matches!(self, Self::PrintedBatch | Self::InstrumentalVariables)
     }
@@ -224,11 +224,11 @@ fn case(setup: Setup) -> Case {
 fn follows(every: &[Vec<Five>]) -> Option<usize> {
     let goal = CHOSEN.tm_s * (1.0 + 0.9 * (FIGURE.jump - 1.0));
     let middle = |k: usize| median(&every.iter().map(|seed| seed[k][0]).collect::<Vec<_>>());
-    // A scheme that lies there all the time follows nothing.
-    let lies_there = middle(FIGURE.jump_at - 1) >= goal;
+    // An estimate that was near the new value before the jump does not follow it.
+    let was_near = middle(FIGURE.jump_at - 1) >= goal;
     (FIGURE.jump_at..FIGURE.samples)
         .find(|k| middle(*k) >= goal)
-        .filter(|_| !lies_there)
+        .filter(|_| !was_near)
         .map(|k| k - FIGURE.jump_at)
 }
 
@@ -241,7 +241,7 @@ fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<
         forward(&pieces, CHOSEN.period_s, &volts, None).iter().map(|at| at.speed_rad_s).collect();
     let mut errors = white(&mut random(seed, 2), FIGURE.samples);
     let deviation = match noise {
-        NoiseModel::Sensor => ratio.noise_beside(&clean),
+        NoiseModel::Sensor => ratio.noise_for(&clean),
         NoiseModel::EquationError => {
             // What the equation error does to the speed: eq. (13) is linear, so it adds to the clean one. The ratio is
             // that of the speed to this part of it.
@@ -252,7 +252,7 @@ fn record(noise: NoiseModel, ratio: SignalToNoise, seed: u64) -> (Vec<f64>, Vec<
                 let back = |by: usize| k.checked_sub(by).map_or(0.0, |at| errors[at]);
                 errors[k] += a1 * back(1) + a2 * back(2);
             }
-            ratio.noise_beside(&clean) / variance(&errors).sqrt()
+            ratio.noise_for(&clean) / variance(&errors).sqrt()
         }
     };
     let speed = with_noise(&clean, &errors, deviation);

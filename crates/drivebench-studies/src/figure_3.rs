@@ -1,6 +1,6 @@
 //! Figure 3: scheme 2 (current and speed give J and Mc), beta 0.98, S/N <= 15.
 //!
-//! The paper says neither where the noise enters nor what S/N is a ratio of, so both readings are computed.
+//! The paper states neither where the noise enters nor what S/N is a ratio of, so both readings are computed.
 
 use rayon::prelude::*;
 use serde::Serialize;
@@ -124,18 +124,18 @@ fn estimates(motor: &Motor, setup: Setup, seed: u64) -> [Vec<f64>; 2] {
     match noise {
         NoiseModel::EquationError => {
             let steps: Vec<f64> = speed.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            let deviation = ratio.noise_beside(&steps);
-            let strikes: Vec<f64> = errors.iter().map(|error| deviation * error).collect();
-            let struck =
-                forward(&[(motor, SETTINGS.samples)], CHOSEN.period_s, &volts, Some(&strikes));
-            (speed, current) = columns(&struck);
+            let deviation = ratio.noise_for(&steps);
+            let disturbances: Vec<f64> = errors.iter().map(|error| deviation * error).collect();
+            let disturbed =
+                forward(&[(motor, SETTINGS.samples)], CHOSEN.period_s, &volts, Some(&disturbances));
+            (speed, current) = columns(&disturbed);
         }
         NoiseModel::Sensor => {
             if current_noise {
                 let errors = white(&mut random(seed, 3), SETTINGS.samples);
-                current = with_noise(&current, &errors, ratio.noise_beside(&current));
+                current = with_noise(&current, &errors, ratio.noise_for(&current));
             }
-            speed = with_noise(&speed, &errors, ratio.noise_beside(&speed));
+            speed = with_noise(&speed, &errors, ratio.noise_for(&speed));
         }
     }
     let mut scheme = Scheme2::new(integral, SETTINGS.forgetting, 0.0);

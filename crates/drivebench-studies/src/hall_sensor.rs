@@ -46,7 +46,7 @@ impl HallSensor {
 
 impl SpeedSensor for HallSensor {
     fn turned(&mut self, time_s: f64, angle_rad: f64) {
-        // Edges lie between whole numbers: a shaft that starts at zero stands on none.
+        // Edges lie between whole numbers, so that a shaft at angle zero is on none.
         let now = angle_rad / self.edge_rad - 0.5;
         let Some((last_s, last)) = self.last.replace((time_s, now)) else {
             return;
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn a_shaft_that_stops_is_seen_to_fade() {
+    fn the_speed_of_a_stopped_shaft_decays() {
         let found = readings(|t| 50.0 * t.min(0.5));
         assert!(found[510].1 > 20.0);
         let last = found[999];

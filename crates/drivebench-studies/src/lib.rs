@@ -1,4 +1,4 @@
-//! The papers' figures and tables, computed again beside what the papers print; what a line does to a measurement; how often
+//! The papers' figures and tables, computed again and compared; what a line does to a measurement; how often
 //! the diagnosis is right.
 //!
 //! ```text
@@ -12,8 +12,8 @@
 //!            PaperA, PaperB, LineStudy, Study -> pages --(layouts/*.md)--> page: HTML, Markdown, text, SVG, CSV
 //! ```
 //!
-//! Pure computation from stated seeds: the same program gives the same numbers. Where a paper does not say what it
-//! did (motor, excitation, what S/N is a ratio of), the result says what was chosen.
+//! Pure computation from stated seeds: the same program gives the same numbers. Where a paper does not state what it
+//! did (motor, excitation, what S/N is a ratio of), the result lists what was chosen.
 
 pub mod adaptive;
 mod charts;
@@ -44,13 +44,13 @@ pub use transient::{Figure4, Table1};
 
 /// What Figures 2 and 3 are made of; the text gives none of it.
 struct Figures2And3 {
-    /// It asks for Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the fastest motor that it admits, at the slower of its
+    /// The paper requires Ta, TM > 0.1 s at T = 15 to 20 ms, so this is the fastest admissible motor, at the slower of its
     /// periods; TM is that of its Figure 6 before the jump.
     ta_s: f64,
     tm_s: f64,
     period_s: f64,
-    /// Two voltages in turn, each held so many periods. Both keep the shaft turning forward, so that the sign of the speed
-    /// is no question.
+    /// Two voltages in turn, each held so many periods. Both keep the shaft turning forward, so that the sign of
+    /// the friction torque does not change.
     levels_v: [f64; 2],
     hold: std::ops::RangeInclusive<usize>,
     /// Seeds of the spread, from 1 on; the first is drawn.

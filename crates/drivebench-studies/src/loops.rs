@@ -261,7 +261,7 @@ pub(super) fn cycles(seconds: f64, period_s: f64) -> usize {
     whole((seconds / period_s).round())
 }
 
-/// A fixed PI regulator to which the adaptation joins at a cycle: 0 for always, `usize::MAX` for never.
+/// A fixed PI regulator whose adaptation starts at a cycle: 0 for always, `usize::MAX` for never.
 pub(super) struct Joining {
     fixed: Pi,
     adaptive: Addc,

@@ -13,7 +13,7 @@ use drivebench::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, T
 use drivebench::sample::Channel;
 
 /// A motor with the resistance and back-EMF constant of paper A's ZK-22FC and these time constants, s. The load torque is that
-/// of rated current: large enough to be identified beside 60 V at the terminals.
+/// of rated current: large enough to be identified at 60 V at the terminals.
 pub(super) fn motor(ta_s: f64, tm_s: f64) -> Motor {
     let name = format!("Ta {ta_s} s, TM {tm_s} s");
     made_of(&name, 1.1, 0.3538, [ta_s, tm_s], 2.0)
@@ -143,8 +143,8 @@ impl ZeroOrderHold {
 }
 
 /// Speed and current at each sample; each motor in turn for so many samples, from the first one's steady state under the
-/// first voltage. `voltage_v[k]` is held from sample `k` to the next; `disturbance_rad_s[k]` strikes the speed at sample
-/// `k`, as a load that nobody measures.
+/// first voltage. `voltage_v[k]` is held from sample `k` to the next; `disturbance_rad_s[k]` is added to the speed at sample
+/// `k`, as an unmeasured load.
 pub(super) fn forward(
     motors: &[(&Motor, usize)],
     period_s: f64,
@@ -160,8 +160,8 @@ pub(super) fn forward(
         let hold = ZeroOrderHold::new(motor, period_s);
         for _ in 0..*samples {
             let k = out.len();
-            if let Some(strike) = disturbance_rad_s {
-                now.speed_rad_s += strike[k];
+            if let Some(disturbance) = disturbance_rad_s {
+                now.speed_rad_s += disturbance[k];
             }
             out.push(now);
             now = hold.after(now, voltage_v[k]);
@@ -205,8 +205,8 @@ impl SignalToNoise {
         Self { value, of: RatioOf::Amplitude }
     }
 
-    /// Standard deviation of the noise beside this signal (its mean does not count).
-    pub(super) fn noise_beside(self, signal: &[f64]) -> f64 {
+    /// Standard deviation of the noise at this ratio to the signal's deviation from its mean.
+    pub(super) fn noise_for(self, signal: &[f64]) -> f64 {
         let deviation = variance(signal).sqrt();
         match self.of {
             RatioOf::Power => deviation / self.value.sqrt(),
@@ -329,13 +329,13 @@ mod tests {
     }
 
     #[test]
-    fn noise_has_the_asked_ratio_to_the_signal() {
+    fn noise_has_the_given_ratio_to_the_signal() {
         let signal: Vec<f64> = (0..4000).map(|k| 50.0 + (0.1 * f64::from(k)).sin()).collect();
         let noise = white(&mut random(1, 1), 4000);
         for (ratio, power) in
             [(SignalToNoise::power(10.0), 10.0), (SignalToNoise::amplitude(10.0), 100.0)]
         {
-            let noisy = with_noise(&signal, &noise, ratio.noise_beside(&signal));
+            let noisy = with_noise(&signal, &noise, ratio.noise_for(&signal));
             let rest: Vec<f64> = noisy.iter().zip(&signal).map(|(a, b)| a - b).collect();
             let found = variance(&signal) / variance(&rest);
             assert!((found / power - 1.0).abs() < 0.1, "{found}");
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn quantiles_leave_out_what_was_not_told() {
+    fn quantiles_leave_out_missing_values() {
         let spread = Spread::of(2.0, (0..=100).map(f64::from).chain([f64::NAN]));
         assert!((spread.low - 5.0).abs() < 1e-12 && (spread.median - 50.0).abs() < 1e-12);
         assert!((spread.error_percent - 2400.0).abs() < 1e-9);

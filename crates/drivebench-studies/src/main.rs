@@ -1,4 +1,4 @@
-//! `drivebench-studies`: the papers' figures and tables, computed again beside what the papers print; what a line does to a
+//! `drivebench-studies`: the papers' figures and tables, computed again and compared; what a line does to a
 //! measurement; how often the diagnosis is right.
 
 use std::fs;
@@ -51,7 +51,7 @@ struct Discovery {
     /// Machines for each effect and excitation (1: some 730 machines in all; 0: none)
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(0..=100))]
     sets: u64,
-    /// So many mystery drives beside them, commissioned by the whole program
+    /// Number of mystery drives that the whole program commissions
     #[arg(long, value_name = "N", default_value_t = 160, value_parser = clap::value_parser!(u64).range(0..=10_000))]
     mysteries: u64,
     /// A folder with public records of real machines, which are diagnosed too: `emps/DATA_EMPS.csv`, `sar_bldc/time_constant_2023-12-16.csv`

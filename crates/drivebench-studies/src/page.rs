@@ -13,7 +13,7 @@
 //! [table NAME ROWS] sentence; on the next lines `| head | head |` and `| cell | cell |`, filled for each of the rows
 //! [grid NAME] sentence              a table that the study has made itself
 //! [each PATH]                       a paragraph for each text of a list
-//! [name KEY] words                  what `{path:name}` shows for the key
+//! [name KEY] text                   what `{path:name}` shows for the key
 //! {a.b.0}  {a/b*100:FORMAT}         a path from the row, or else from the root; quotient and factor; format
 //! ```
 //!
@@ -203,7 +203,7 @@ impl Findings {
             page.title = scope.fill(title)?;
             page.subtitle = scope.fill(more.next().unwrap_or_default())?;
         } else if let Some(lead) = line.strip_prefix("> ") {
-            let (word, sentence) = lead.split_once(": ").ok_or("a lead without a word")?;
+            let (word, sentence) = lead.split_once(": ").ok_or("a lead (`> `) without `: `")?;
             let sentence = [std::mem::take(&mut page.lead.1), scope.fill(sentence)?].join(" ");
             page.lead = (word.to_owned(), sentence.trim_start().to_owned());
         } else if let Some(heading) = line.strip_prefix("## ") {

@@ -86,7 +86,7 @@ fn record(
     let sensor = |clean: Vec<f64>, purpose: u64| match noise {
         None => clean,
         Some(ratio) => {
-            let deviation = ratio.noise_beside(&clean[rest..]);
+            let deviation = ratio.noise_for(&clean[rest..]);
             let noise = white(&mut random(seed, purpose), samples);
             with_noise(&clean, &noise, deviation)
         }

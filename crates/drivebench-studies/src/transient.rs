@@ -107,7 +107,7 @@ const PRINTED: [(usize, f64, f64); 6] = [
     (40, 4508.0, 0.4552),
     (50, 4536.0, 0.4149),
 ];
-/// Periods beside that of the table, s; the last is half of L/R.
+/// Periods to compare with that of the table, s; the last is half of L/R.
 const PERIODS_S: [f64; 5] = [0.001, 0.002, 0.003, 0.004, 0.004_5];
 const SEEDS: u64 = 200;
 
@@ -155,7 +155,7 @@ pub struct Table1 {
     pub catalogue_inertia_kg_m2: f64,
     pub period_s: f64,
     pub electrical_time_constant_s: f64,
-    /// That of Figure 3: beside Table 1 the paper gives none.
+    /// That of Figure 3: for Table 1 the paper gives none.
     pub forgetting: f64,
     pub seeds: u64,
     pub rows: Vec<Row>,

@@ -88,7 +88,7 @@ impl PaperA {
             .on(&LAYOUTS)
     }
 
-    /// What the layout needs of Figure 2, Table 1 and the sweep beside their JSON.
+    /// What the layout needs of Figure 2, Table 1 and the sweep in addition to their JSON.
     fn identification(&self) -> Value {
         let error = |noise, method| {
             let case = self.figure_2.case(noise, RatioOf::Power, method);
@@ -129,7 +129,7 @@ impl PaperA {
     }
 }
 
-/// What the layout needs of Figures 5 to 7 beside their JSON.
+/// What the layout needs of Figures 5 to 7 in addition to their JSON.
 fn adaptation(found: &AdaptiveLoop) -> Value {
     let (figure_5, figure_6, figure_7) = (&found.figure_5, &found.figure_6, &found.figure_7);
     let [least, most] = span(figure_6.adapted(1).map(|row| row.fixed.response.overshoot_percent));
@@ -144,7 +144,8 @@ fn adaptation(found: &AdaptiveLoop) -> Value {
         json!({"cycle": n + 1, "by": by.collect::<Vec<_>>()})
     });
     let saturated = [Kind::Addc, Kind::MracDisconnected, Kind::MracConnected]
-        .map(|kind| figure_7.saturated_of(kind).map(Saturated::end_error_rad_s));
+        .map(|kind| figure_7.saturated.iter().find(|run| run.controller == kind))
+        .map(|run| run.map(Saturated::end_error_rad_s));
     json!({
         "tm_s": MECHANICAL_S[1],
         "overshoot": [least, most, adapted],
@@ -358,7 +359,7 @@ fn verdict(figure: &Figure7) -> String {
         )
     };
     format!(
-        "That ADDC adapts more slowly than MRAC, as the paper says, is {sentence}: of {} jumps of TM that saturate nobody, ADDC {}; with an estimate that only forgets, as the paper's, it {}.",
+        "That ADDC adapts more slowly than MRAC, as the paper says, is {sentence}: of {} jumps of TM without saturation, ADDC {}; with an estimate that only forgets, as the paper's, it {}.",
         slower.jumps,
         counts(slower),
         counts(forgetting)

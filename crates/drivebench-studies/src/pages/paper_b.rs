@@ -19,7 +19,7 @@ impl PaperB {
         let shown = self.hall.shown.iter().map(|run| (&run.name[..], &run.trace[..]));
         let lines: [(&str, Style, Quantity); 3] = [
             ("reference", Style::Command, REFERENCE),
-            ("seen", Style::Before, |point| point.measured_rad_s),
+            ("measured", Style::Before, |point| point.measured_rad_s),
             ("true", Style::After, SPEED),
         ];
         let [open, closed] = back_emf_series(&self.back_emf);
@@ -29,7 +29,7 @@ impl PaperB {
             .figure("figure-5", "speed and voltage while a load comes on and goes off", &figure_5_series(&self.figure_5))
             .picture("convergence", convergence)
             .series("convergence", changes)
-            .figure("hall", "speed seen through Hall edges and true speed over the polyline", &trials(shown, 120.0, &lines))
+            .figure("hall", "speed from Hall edges and true speed over the polyline", &trials(shown, 120.0, &lines))
             .figure("back-emf", "speed under a constant voltage with and without back-EMF", &open)
             .figure("back-emf-closed", "closed loop over the motor with back-EMF: bare, with compensation, with the back-EMF fed forward", &closed)
             .on(&[include_str!("../layouts/paper_b.md"), COMPARISON])

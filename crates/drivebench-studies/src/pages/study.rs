@@ -1,4 +1,4 @@
-//! The study of the diagnosis: what was asked, what was answered, what may be claimed. Its page in Markdown is
+//! The page of the study of the diagnosis: sets, answers, calibration. In Markdown it is
 //! `docs/validation/tables.md`.
 
 use drivebench::text::number::{fixed, significant};
@@ -16,7 +16,7 @@ use crate::study::{
 const NUMBERS: &str = "1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 16 17 18 19 20 21 22 23 24 25 26 27 28 29 30 31 32 33 34 35 36 37 38 39 40";
 
 impl Study {
-    /// The page, which as Markdown is `docs/validation/tables.md`; without the parts that were not asked for.
+    /// The page; without the parts that were not requested.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
         let counts = json!({
             "mystery_count": self.mysteries.len(),
@@ -70,10 +70,10 @@ impl Study {
         let mut groups: Vec<Value> = (named_groups(&self.answers).into_iter())
             .map(|name| {
                 let all = Calibration::of(self.of(|answer| answer.group.name() == name));
-                weighed(&name, &all)
+                with_shares(&name, &all)
             })
             .collect();
-        groups.push(weighed("all", &self.calibration));
+        groups.push(with_shares("all", &self.calibration));
         let [noisy, lossy] = [Group::Noisy, Group::Lossy].map(|group| {
             let [before, after] = self.against_single(group).map(Tally::of);
             json!({"before": before, "after": after})
@@ -91,7 +91,7 @@ impl Study {
             "null_wrong": nothing.wrong_share(),
             "excitations": excitations.collect::<Vec<_>>(),
             "other_columns": other_columns.collect::<String>(),
-            "contradicted": beside_what_is_so(all),
+            "contradicted": contradicted(all),
             "missed": missed(all),
             "groups": groups,
             "sizes": sizes(&self.answers),
@@ -100,10 +100,10 @@ impl Study {
             "no_failures": no_failures.as_slice(),
             "failures": failures.collect::<Vec<_>>(),
         });
-        with(weighed("", all), counts)
+        with(with_shares("", all), counts)
     }
 
-    /// The machines that a group shares with the single effects and the nulls, as they are and as they are there.
+    /// The answers for the machines that a group shares with the single effects and the nulls: theirs, then the group's.
     fn against_single(&self, group: Group) -> [Vec<&Answer>; 2] {
         let harder = self.of(|a| a.group == group);
         let is_shared = |a: &Answer| harder.iter().any(|other| other.seed == a.seed);
@@ -261,7 +261,7 @@ fn none_as_dot(count: usize) -> String {
     }
 }
 
-/// Counts, intervals of the motor's parameters, and every answer that is not simply right.
+/// Counts, intervals of the motor's parameters, and every answer other than "right".
 fn commissioned(findings: Findings, answers: &[MysteryAnswer]) -> Findings {
     let named = answers.iter().filter(|answer| !answer.effects.is_empty());
     let errors = named.filter_map(|answer| Some((answer.holdout_before?, answer.holdout_after?)));
@@ -302,7 +302,7 @@ fn pairs(answers: &[MysteryAnswer]) -> Vec<(&str, String, usize)> {
     pairs
 }
 
-/// A reason without the paths of the machine on which it came about: the page is read elsewhere.
+/// A reason without the paths of the machine that ran the study.
 fn without_paths(reason: &str) -> String {
     let words = reason.split(' ').map(|word| match word.strip_prefix('/') {
         Some(path) if path.ends_with(':') => "port:",
@@ -316,8 +316,8 @@ fn without_paths(reason: &str) -> String {
 const SUPPORTED: f64 = 0.9;
 const POSSIBLE: f64 = 0.1;
 
-/// A calibration with its group, and what it says of effects that were called supported and ruled out.
-fn weighed(group: &str, all: &Calibration) -> Value {
+/// A calibration with its group, and the shares of supported and of ruled-out effects that are there.
+fn with_shares(group: &str, all: &Calibration) -> Value {
     let of = |keep: &dyn Fn(&Bin) -> bool| together(all.bins.iter().filter(|bin| keep(bin)));
     let whole = of(&|_| true);
     // Brier score of the answer that gives every effect the share of effects that are there.
@@ -332,7 +332,7 @@ fn weighed(group: &str, all: &Calibration) -> Value {
 }
 
 /// Which of the given probabilities the counts contradict.
-fn beside_what_is_so(all: &Calibration) -> String {
+fn contradicted(all: &Calibration) -> String {
     let contradicted = all.bins.iter().filter_map(|bin| {
         let mean = 100.0 * bin.mean?;
         let side = if mean < bin.there.lower_percent {
@@ -478,7 +478,7 @@ mod tests {
     }
 
     #[test]
-    fn the_page_says_it_in_tables_and_a_picture() {
+    fn the_page_has_tables_and_a_picture() {
         let lossy = Answer { group: Group::Lossy, ..bad() };
         let study = study(good().into_iter().chain([bad(), lossy]).collect());
         let page = study.report().unwrap();

@@ -38,16 +38,16 @@ pub struct Calibration {
     pub brier: Option<f64>,
     /// Of all effects that are there, those that are named, by this or another right name.
     pub recalled: Bounded,
-    /// Of those that are not: what was said instead.
+    /// Of those that are not: the finding instead.
     pub missed: Missed,
     /// Of all names, those of what is not there.
     pub false_names: Bounded,
-    /// Of the false names: the twin is there; the answer says itself that it cannot be told from what is there.
+    /// Of the false names: the twin is there; the answer reports it as not distinguished from what is there.
     pub false_twins: usize,
     pub false_but_open: usize,
     /// Of the effects that are there: called ruled out with a bound below 0.8 of the true size.
     pub falsely_ruled_out: Bounded,
-    /// Of the effects that are there and have a size: unnamed, though so much was said to show.
+    /// Of the effects that are there and have a size: unnamed, though above the reported detectable size.
     pub should_have_shown: Bounded,
     /// Of the effects that are absent and that the runs excite: those that are ruled out.
     pub absent_ruled_out: Bounded,
@@ -69,7 +69,7 @@ pub struct Calibration {
 pub struct Missed {
     /// The twin is named.
     pub twin: usize,
-    /// The answer says that it cannot be told from what is named.
+    /// Reported as not distinguished from what is named.
     pub open: usize,
     pub possible: usize,
     pub ruled_out: usize,
@@ -112,7 +112,10 @@ impl Calibration {
         Self {
             sets: answers.len(),
             bins: bins(&all),
-            brier: mean(all.iter().map(|f| (f.probability - share_there(f)).powi(2))),
+            brier: mean(all.iter().map(|f| {
+                let is_there = f.there && !f.of_other_order;
+                (f.probability - f64::from(u8::from(is_there))).powi(2)
+            })),
             recalled: Bounded::new(there().count() - missed().count(), there().count()),
             missed: instead,
             false_names: Bounded::new(falsely().count(), named.count()),
@@ -173,11 +176,6 @@ pub fn sizes(answers: &[Answer]) -> Vec<Sizes> {
             })
         })
         .collect()
-}
-
-/// One where the effect is there under this name.
-fn share_there(finding: &Finding) -> f64 {
-    f64::from(u8::from(finding.there && !finding.of_other_order))
 }
 
 fn bins(all: &[&Finding]) -> Vec<Bin> {
@@ -335,7 +333,7 @@ pub(super) const fn truths(motor: &MotorTruth) -> [(MotorKey, f64); 5] {
     ]
 }
 
-/// What a diagnosis says of the motor; nothing of a parameter that the runs leave undetermined.
+/// The motor's parameters in a diagnosis; none that the runs leave undetermined.
 pub(super) fn parameters_of(motor: &MotorTruth, diagnosis: &Diagnosis) -> Vec<ParameterFinding> {
     let found = truths(motor).into_iter().filter_map(|(parameter, truth)| {
         let estimates = &diagnosis.model.parameters;
@@ -655,7 +653,7 @@ mod tests {
             answer(Group::Harsh, unexplained, hidden()),
             answer(Group::Pair, unexplained, hidden()),
         ]);
-        // The first and the unknown, of those with something to be seen; the pair, of those that the catalogue explains.
+        // The first and the unknown, of those with a detectable effect; the pair, of those that the catalogue explains.
         assert_eq!(counts(all.false_none), (2, 5));
         assert_eq!(counts(all.false_unexplained), (1, 4));
         assert_eq!(all.sets, 7);
@@ -670,7 +668,7 @@ mod tests {
             std: 0.1,
             verdict,
         };
-        // 1 and 3 standard deviations off, and 50 that nobody relies on.
+        // 1 and 3 standard deviations off, and 50 with an estimate that is not settled.
         let answer = Answer {
             parameters: vec![
                 found(2.1, Verdict::Settled),

@@ -1,5 +1,5 @@
 //! The sets of the study: what is hidden and how large (drawn evenly, about 3 to 15 % of what the motor is rated for), how it
-//! is excited, which names are right. The sizes stand with the emulator's effects.
+//! is excited, which names are right. The emulator's effects define their sizes.
 
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
@@ -15,7 +15,7 @@ const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
 const NULLS_PER_SET: u64 = 6;
 /// Machines with nothing but the small effects, in each excitation for each set of a cell.
 const SMALL_PER_SET: u64 = 24;
-/// What is hard in other ways than the effect itself is asked of a rich run, a plain one and a slow one; two effects of the
+/// The harder groups use a rich run, a plain one and a slow one; two effects at once the
 /// first two, one among small ones of the first.
 const HARD: [Excitation; 3] = [Excitation::Rich, Excitation::Steps, Excitation::Rich100Hz];
 /// Length of each run, s.
@@ -65,7 +65,7 @@ impl Excitation {
     }
 }
 
-/// What a set asks.
+/// What a set tests.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "group")]
 pub enum Group {
@@ -75,7 +75,7 @@ pub enum Group {
     Null,
     /// Something that no catalogue has.
     Unknown,
-    /// An effect in another shape than anybody's textbook.
+    /// An effect in a shape other than the textbook's.
     WrongForm,
     Pair,
     /// One effect among small unmodelled ones.
@@ -132,7 +132,7 @@ impl Group {
 pub struct Case {
     pub group: Group,
     pub excitation: Excitation,
-    /// Ids of what is hidden, in the emulator's words.
+    /// The emulator's ids of what is hidden.
     pub hidden: Vec<&'static str>,
     /// For each hidden effect the names that are right.
     pub right: Vec<Vec<&'static str>>,
@@ -172,7 +172,7 @@ impl Case {
         }
     }
 
-    /// The class in tables: what is hidden, in words of the emulator.
+    /// The class in tables: the emulator's ids of what is hidden.
     pub fn class(&self) -> String {
         if self.group == Group::Small {
             BACKGROUND.join(" + ")
@@ -291,7 +291,7 @@ pub(super) const PAIRS: &[[&str; 2]] = &[
 pub(super) const BACKGROUND: &[&str] =
     &["viscous_friction", "cogging", "command_delay", "supply_sag"];
 
-/// The effect as it stands in an emulator's configuration, drawn; what gives it its size is multiplied by `share`. `None`
+/// The effect drawn at random, as in an emulator's configuration; what gives it its size is multiplied by `share`. `None`
 /// for an id that the study does not hide.
 pub(super) fn drawn(id: &str, share: f64, rng: &mut ChaCha8Rng) -> Option<HiddenEffect> {
     let specs = effect::find(id).map_or(&[][..], |effect| effect.parameters());
@@ -307,7 +307,7 @@ mod tests {
     use super::*;
     use rand::SeedableRng;
 
-    /// The published scores stand on these machines: the order in which sizes are drawn must not change.
+    /// The published scores are those of these machines: the order in which sizes are drawn must not change.
     #[test]
     fn the_machines_of_the_published_seeds_stay_as_they_are() {
         let ids = [known(), unknown(), wrong_form()].concat();

@@ -17,7 +17,7 @@ use crate::lines::{KINDS, line_study};
 /// Name under which this binary is the program that commissions.
 pub const PROGRAM: &str = "drivebench";
 
-/// Records of each kind of line beside the study.
+/// Records of each kind of line.
 const LINE_RUNS: usize = 40;
 
 /// Runs the study with its progress on stderr; a signal ends it after the sets that are under way. `folder`: where public
@@ -65,7 +65,7 @@ pub fn study(
     Ok(found)
 }
 
-/// What the diagnosis says of the records in a folder.
+/// The diagnoses of the records in a folder.
 fn real_records(folder: &Path) -> Result<Vec<RecordAnswer>, Failure> {
     let found = records(folder);
     if found.is_empty() {
@@ -119,7 +119,7 @@ fn commission(
     };
     let answers: Option<Vec<MysteryAnswer>> =
         seeds.into_par_iter().with_max_len(1).map(one).collect();
-    // What stays of it is the system's to clear.
+    // A remainder is left to the system's cleaning of temporary files.
     let _ = std::fs::remove_dir_all(&place);
     // A signal ends the programs that were started, too: their output is no answer.
     let is_whole = !interrupted.load(Ordering::Acquire);

@@ -1,4 +1,4 @@
-//! Marking of an answer: of each effect of the catalogue what was said beside what is so, and the outcome of the whole.
+//! Assessment of an answer: for each effect of the catalogue the finding and the truth, and the outcome of the whole.
 
 use serde::{Deserialize, Serialize};
 
@@ -15,7 +15,7 @@ use drivebench::sample::ParameterEstimate;
 use drivebench::workflow::ORDER;
 
 /// Names whose effects are the same but for a little: the delay and the filter of one signal, which are the same to first
-/// order and told apart only by a quick dither, and drag and fan.
+/// order and distinguished only by a quick dither, and drag and fan.
 const TWINS: [[&str; 2]; 2] =
     [["speed_delay", "speed_filter"], ["viscous_friction", "quadratic_load"]];
 
@@ -32,15 +32,15 @@ pub(super) fn are_twins(a: &str, b: &str) -> bool {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// Every hidden effect is named, nothing else is. Where nothing known is hidden: it is said.
+    /// Every hidden effect is named, nothing else is. Where nothing known is hidden: the verdict is so.
     Right,
     /// The twin of the hidden effect is named.
     Twin,
-    /// The answer is a set that cannot be told apart, and all that is hidden is in it.
+    /// The answer is a set of effects that explain the run alike, and all that is hidden is in it.
     Ambiguous,
-    /// A part of what is hidden is named, and nothing that is not there; or a part is in a set that cannot be told apart.
+    /// A part of what is hidden is named, and nothing that is not there; or a part is in an ambiguous set.
     Partial,
-    /// Nothing is named, and the run is said not to excite the effect.
+    /// Nothing is named, and the effect is reported as not excited.
     NotExcited,
     /// Nothing is named: no missing effect is visible, or none that is known explains the error.
     Abstained,
@@ -133,7 +133,7 @@ impl Answer {
 pub(super) struct Claims<'a> {
     verdict: DiagnosisVerdict,
     effects: Vec<&'a str>,
-    /// Named, or said not to be told from what is named.
+    /// Named, or reported as not distinguished from what is named.
     pool: Vec<&'a str>,
     not_excited: Vec<&'a str>,
     /// Waves in a turn of what is named.
@@ -240,7 +240,7 @@ fn named(
         (has_background && BACKGROUND.contains(&id))
             || right.iter().flatten().any(|right| *right == id)
     };
-    let strangers: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
+    let absent: Vec<&str> = effects.iter().copied().filter(|id| !belongs(id)).collect();
     let is_found = |names: &&Vec<&str>| names.iter().any(|id| effects.contains(id));
     let found = right.iter().filter(is_found).count();
     let missed: Vec<&str> =
@@ -252,11 +252,11 @@ fn named(
         missed.iter().any(|missed| are_twins(id, missed))
             || twin_of(id).is_some_and(|twin| unnamed.contains(&twin))
     };
-    match (strangers.is_empty(), found) {
+    match (absent.is_empty(), found) {
         (true, 1..) if found == all => Outcome::Right,
         (true, 1..) => Outcome::Partial,
         (true, 0) => Outcome::Abstained,
-        (false, _) if strangers.iter().all(is_twin) => Outcome::Twin,
+        (false, _) if absent.iter().all(is_twin) => Outcome::Twin,
         (false, _) => Outcome::Wrong,
     }
 }
@@ -286,7 +286,7 @@ pub struct Finding {
     pub other_name: Option<&'static str>,
     /// Its twin is named in its place; of a false name: its twin is there.
     pub twin: bool,
-    /// The answer says that it cannot be told from what is named; of a false name: from what is there.
+    /// Reported as not distinguished from what is named; of a false name: from what is there.
     pub left_open: bool,
 }
 
@@ -313,7 +313,7 @@ impl Finding {
         self.is_missed() && self.status == Status::RuledOut && is_below
     }
 
-    /// Whether its size was said to be one that would have shown, and it was not named.
+    /// Whether its size is above the reported detectable one, and it was not named.
     pub fn should_have_shown(&self) -> bool {
         let sizes = self.detectable.zip(self.true_size);
         self.is_missed() && sizes.is_some_and(|(least, size)| least < size.abs())
@@ -338,7 +338,7 @@ impl Finding {
     }
 }
 
-/// Every effect that was weighed; `orders` are the waves in a turn of what is named.
+/// Every effect of the diagnosis; `orders` are the waves in a turn of what is named.
 pub(super) fn findings(
     truths: &[Truth],
     orders: &[(&str, f64)],
@@ -360,7 +360,7 @@ impl Finding {
         let is_named = named.contains(&id);
         let is_there = |id: &str| truths.iter().any(|truth| truth.is(id));
         let own: Vec<&Truth> = truths.iter().filter(|truth| truth.is(id)).collect();
-        // What was named as a wave of one order is held against that one.
+        // A wave is compared with the true wave of its own order.
         let waves: Vec<f64> =
             (orders.iter().filter(|(other, _)| *other == id)).map(|(_, order)| *order).collect();
         let has_order = |truth: &&&Truth| {

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! what is hidden, how large -> Case (cases) -> emulated machine, excited and recorded (record) -> diagnose -> Outcome (judge)
-//!                       what is in it, and how large (truth) <---'    of each effect, what was said <---'
+//!                       what is in it, and how large (truth) <---'    of each effect, the finding <---'
 //!     all outcomes -> counts with bounds, matrix (calibration)     all findings -> what probabilities and bounds are worth (calibration)
 //!     motor's parameters -> what their intervals hold (calibration)
 //! ```
@@ -41,7 +41,7 @@ use drivebench::plant::Model;
 /// How large the study is.
 #[derive(Clone, Copy, Debug)]
 pub struct Size {
-    /// Sets in each cell (effect and excitation); the groups beside the single effects follow it.
+    /// Sets in each cell (effect and excitation); the other groups are multiples of it.
     pub sets: u64,
     pub seed: u64,
     /// A few sets at 100 Hz instead: for a test.
@@ -70,10 +70,10 @@ pub struct Study {
     /// Real machines; empty where no folder of records was given.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub records: Vec<RecordAnswer>,
-    /// Mysteries that the whole program was given; empty where that was not asked for.
+    /// Mystery drives that the whole program commissioned; empty where none was requested.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub mysteries: Vec<MysteryAnswer>,
-    /// What lines of every kind do to a measurement; none where that was not asked for.
+    /// What lines of every kind do to a measurement; none where that was not requested.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub lines: Option<LineStudy>,
 }

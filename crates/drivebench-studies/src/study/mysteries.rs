@@ -1,6 +1,6 @@
 //! Mystery drives, commissioned by the whole program: one marked answer for each seed.
 //!
-//! Recorded by whoever starts the program (`cli`): this is the sheet that is filled in, and its marking.
+//! `commission` starts the program; here its printed result is compared with what the seed hides.
 
 use std::path::Path;
 
@@ -44,7 +44,7 @@ pub struct MysteryAnswer {
 const NOTHING: &str = "(nothing)";
 
 impl MysteryAnswer {
-    /// Marks what `commission --json` said against what the seed hides.
+    /// Compares the output of `commission --json` with what the seed hides.
     pub fn of(seed: u64, commissioned: &Value) -> Self {
         let truth = draw(seed).truth;
         let Some(reported) = Reported::from_json(commissioned) else {
@@ -96,7 +96,7 @@ impl MysteryAnswer {
     }
 }
 
-/// What the commissioned model says of the motor beside what the drive was made of.
+/// The motor's parameters of the commissioned model, each with its true value.
 fn parameters(truth: &Truth, commissioned: &Value) -> Vec<ParameterFinding> {
     let estimates = commissioned["parameters"].as_array();
     let found = truths(&truth.motor).into_iter().filter_map(|(parameter, truth)| {
@@ -165,7 +165,7 @@ const RECORDS: [Record; 2] = [
     },
 ];
 
-/// What the diagnosis says of one record.
+/// The diagnosis of one record.
 #[derive(Clone, Debug, Serialize)]
 pub struct RecordAnswer {
     pub machine: &'static str,
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_are_held_against_the_specimen() {
+    fn parameters_are_compared_with_the_true_ones() {
         let seed = seed_of("cogging");
         let truth = draw(seed).truth.motor.resistance_ohm;
         let reported = json!({

@@ -38,7 +38,7 @@ impl Reported {
             effects.extend(text(&diagnosis["effect"]));
         }
         if verdict == AMBIGUOUS {
-            // Only the most probable one is among the effects: what it cannot be told from is left open with it.
+            // Only the most probable one is among the effects; those that explain the run alike stay possible.
             for mut pair in each(&diagnosis["confusable"]).iter().map(list) {
                 if pair.iter().any(|id| effects.contains(id)) {
                     pair.retain(|id| !effects.contains(id));
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reason_says_what_was_claimed() {
+    fn a_reason_lists_what_was_claimed() {
         let answer_of = |verdict: &str, effects: &[&str], not_excited: &str| {
             let json = json!({
                 "verdict": verdict, "effects": effects,

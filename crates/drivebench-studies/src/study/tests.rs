@@ -34,7 +34,7 @@ fn ten_sets_name_what_is_hidden_and_nothing_else() {
 
 #[test]
 #[cfg_attr(debug_assertions, ignore = "diagnoses take long without optimisation")]
-fn machines_as_they_are_are_told_apart_from_bad_lines() {
+fn lost_rows_and_small_effects_cause_no_wrong_name() {
     let size = Size { seed: 7, ..WHOLE };
     let first = |group: Group, excitation: Excitation, nothing_hidden: bool| {
         let cases = cases::all(size).into_iter();
@@ -42,7 +42,7 @@ fn machines_as_they_are_are_told_apart_from_bad_lines() {
         let found = own.find(|case| case.hidden.is_empty() == nothing_hidden);
         answer(&found.expect("the study has one"))
     };
-    // Whatever a line loses, nothing is missing; and four small effects beside a load that wanders are all there.
+    // Lost rows are no effect; four small effects and a wandering load are everything in the second machine.
     for (group, excitation) in
         [(Group::Lossy, Excitation::Rich100Hz), (Group::Small, Excitation::Steps)]
     {
@@ -60,7 +60,7 @@ fn an_interrupted_study_is_none() {
 fn every_case_can_be_recorded_and_has_its_own_seeds() {
     let size = Size { sets: 2, ..WHOLE };
     let cases = cases::all(size);
-    // Bad sensors and lost rows are those of machines that stand elsewhere in the study.
+    // The noisy and the lossy sets use the machines of other groups.
     let own = |case: &&Case| !matches!(case.group, Group::Noisy | Group::Lossy);
     let seeds: HashSet<u64> = cases.iter().filter(own).map(|case| case.seed).collect();
     assert_eq!(seeds.len(), cases.iter().filter(own).count());
