@@ -45,7 +45,7 @@ fn frame(criterion: &mut Criterion) {
         snapshots: snapshots.reader(),
         ranking: RankingCell::default(),
         workflow: None,
-        leads: None,
+        followed_by: None,
         intents: channel().0,
         worker: WorkerCell::default(),
         stop_requested: Arc::default(),

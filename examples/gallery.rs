@@ -20,7 +20,7 @@ use drivebench::report::{curve_picture, plot};
 use drivebench::text::number::{significant, with_unit};
 
 /// Least ratio of the root mean squares of the error without and with an effect, so that its size exceeds the noise.
-const SEEN: f64 = 2.0;
+const VISIBLE: f64 = 2.0;
 /// Doublings of the first guess after which it is left as it is.
 const MOST_DOUBLINGS: u32 = 8;
 const PERIOD_S: f64 = 0.002;
@@ -73,9 +73,9 @@ fn drawn(
             continue;
         };
         let with = curve.rms_with.unwrap_or(f64::INFINITY);
-        let is_seen = curve.rms_without > SEEN * with;
+        let is_visible = curve.rms_without > VISIBLE * with;
         last = Some((model, curve));
-        if is_seen {
+        if is_visible {
             break;
         }
     }
@@ -96,7 +96,7 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
         let sizes = sizes.collect::<Vec<_>>().join(", ");
         let _ = write!(
             page,
-            "![{name}: what the {} equation lacks over {}](gallery/{id}.svg)\n\nAt {sizes}: {}.",
+            "![{name}: error of the {} equation over {}](gallery/{id}.svg)\n\nAt {sizes}: {}.",
             curve.equation,
             axis_name(curve),
             location::curve(curve)
@@ -121,10 +121,10 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
 pub fn gallery() -> Result<Vec<(String, String)>, FitError> {
     let mut page = String::from(
         "# Gallery of effects\n\n\
-         How each effect of the catalogue looks. The emulated motor of paper A has the effect, the model does not. Circles: what the\n\
-         equation lacks without the effect; dots: with it; each is the mean of some windows with its 95 % interval; line: the effect. An\n\
-         effect that is no curve over one axis is drawn along the axis that it follows most. `cargo run --release --example gallery`\n\
-         writes this page; `drivebench diagnose --html` draws the same for your machine, and `drivebench effects` lists the effects.\n",
+         How each effect of the catalogue looks. The emulated motor of paper A has the effect, the model does not. Circles: error of\n\
+         the equation without the effect; dots: with it; each is the mean of some windows with its 95 % interval; line: the effect. An\n\
+         effect that is no function of one variable is drawn over the axis that explains most of it. `cargo run --release --example\n\
+         gallery` writes this page; `drivebench diagnose --html` draws the same for your machine; `drivebench effects` lists them all.\n",
     );
     let mut files = Vec::new();
     for effect in CATALOGUE {

@@ -1,6 +1,6 @@
-//! drivebench: connect to a motor drive, identify the motor on line, and learn which physical effect its model misses.
+//! drivebench: connect to a motor drive, identify the motor on line, and find which physical effect is missing in its model.
 //!
-//! The libraries are crates of their own, lowest floor first; each uses only what stands before it. They are shown here under one
+//! The libraries are crates of their own, lowest floor first; each uses only those before it. They are shown here under one
 //! name for those who embed them. Above them stands the program.
 //!
 //! ```text
@@ -8,7 +8,7 @@
 //! program: report < workflow < tui < runtime < commands < main
 //! ```
 //!
-//! A motor of which the voltage is known is identified, and a run that it gives is explained by its own model:
+//! The identification of a motor from a run with a known voltage:
 //!
 //! ```
 //! use drivebench::identification::scheme::{Data, default_for};

@@ -14,7 +14,7 @@ use crate::report::wording::{change as words, json};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::{model_file, speed_command};
 use crate::runtime::output::{self, Terminal};
-use crate::workflow::{curve_table, four_digits, hold_what_the_curve_holds};
+use crate::workflow::{curve_table, four_digits, hold_collinear_parameter};
 use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use drivebench_identify::output_error;
 use drivebench_model::config_text::help_for_unknown;
@@ -27,7 +27,7 @@ use drivebench_model::plant::{Effect, FileHistory, Model, ModelError, effect};
     after_help = "Example:\n  drivebench remove stribeck_friction --model model.toml --run runs/a --holdout runs/b --output model2.toml"
 )]
 pub(super) struct Arguments {
-    /// Id of the effect, as `drivebench effects` lists them; or custom and table, with an own name as `custom_fan`
+    /// Id of the effect, as listed by `drivebench effects`; or custom or table, also with a name, as `custom_fan`
     effect: String,
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
@@ -40,7 +40,7 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     evidence: EvidenceArguments,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -58,7 +58,7 @@ pub(super) struct AddArguments {
     common: Arguments,
     #[command(flatten)]
     definition: DefinitionArguments,
-    /// Take the effect although these runs do not need it; the result is marked as forced
+    /// Add the effect although these runs do not need it; the result is marked as forced
     #[arg(long)]
     force: bool,
 }
@@ -72,14 +72,14 @@ struct DefinitionArguments {
     /// Of custom: expression in u, i, w, theta, t and the parameters, as 'a*abs(w)*w'
     #[arg(long, allow_hyphen_values = true)]
     expression: Option<String>,
-    /// Of custom: a parameter, to be fitted; where the expression is not linear in it with a guess: ws=10 or
+    /// Of custom: a parameter to fit; with a first guess where the expression is not linear in it: ws=10 or
     /// 'ws={ guess = 10, min = 1, max = 40 }'
     #[arg(long = "parameter", value_name = "NAME[=GUESS]")]
     parameters: Vec<String>,
-    /// Of table: what the curve runs over
+    /// Of table: the abscissa of the curve
     #[arg(long, value_name = "speed_rad_s|current_a|angle_rad|time_s|voltage_v")]
     axis: Option<String>,
-    /// Of table: own knots instead of those of the axis map, as --knots=-100,0,100
+    /// Of table: knots, instead of those of the axis map, as --knots=-100,0,100
     #[arg(long, value_delimiter = ',', allow_hyphen_values = true)]
     knots: Vec<f64>,
 }
@@ -185,11 +185,11 @@ fn run(
     for key in ["limits", "limit_codes"] {
         value[key] = value["after"][key].take();
     }
-    // The contract shows the signals of `compare` under before and after.
+    // In JSON, before and after hold the signals of `compare`.
     for side in ["before", "after"] {
         value[side] = value[side]["signals"].take();
     }
-    // A refused model is not handed out.
+    // A refused model is not printed.
     let model = result.accepted.then(|| file.to_toml());
     value["model"] = model.clone().into();
     if let Some(model) = model.filter(|_| arguments.output.is_none() && !arguments.json) {
@@ -202,13 +202,13 @@ fn run(
     }
     let (done, help) = match adding {
         Some(_) if result.can_be_forced() => {
-            ("added", "the reason is on stdout; --force takes it all the same")
+            ("added", "the reason is on stdout; --force adds it nevertheless")
         }
         Some(_) => (
             "added",
-            "the reason is on stdout: it cannot be fitted to these runs, so that --force has nothing to take",
+            "the reason is on stdout: it cannot be fitted to these runs, so that --force cannot add it either",
         ),
-        None => ("taken out", "the reason is on stdout: these runs need it"),
+        None => ("removed", "the reason is on stdout: these runs need it"),
     };
     let headline = format!("{} was not {done}", result.effect);
     Err(Failure::with_help(REFUSED, headline, help))
@@ -314,11 +314,13 @@ fn table(
         arguments.knots.clone()
     };
     let effect = curve_table(id, equation, axis, &knots).map_err(|error| failure(&error, None))?;
-    if let Some(held) = hold_what_the_curve_holds(model, &fit.model, id, equation, axis) {
-        terminal.message(&format!("{held} is held: the curve would explain it as well"));
+    if let Some(held) = hold_collinear_parameter(model, &fit.model, id, equation, axis) {
+        terminal.message(&format!(
+            "{held} is held constant: the data cannot separate it from the curve"
+        ));
     }
     terminal
-        .message("provisional: the curve holds what the data show, not why; look for its cause");
+        .message("provisional: the curve describes the error, not its cause; look for the cause");
     Ok(effect)
 }
 
@@ -334,7 +336,7 @@ fn chosen(maps: Vec<AxisMap>, equation: &str, axis: Axis) -> Result<AxisMap, Fai
     let wanted = |map: &AxisMap| map.equation == equation && map.axis == axis;
     maps.into_iter().find(wanted).ok_or_else(|| {
         let headline = format!("the run gives no curve of the {equation} error over {axis}");
-        Failure::usage(headline, format!("it gives {axes}; or give --knots"))
+        Failure::usage(headline, format!("curves of this run: {axes}; or give --knots"))
     })
 }
 

@@ -32,7 +32,7 @@ pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
 #[derive(Args, Clone, Debug, Default)]
 pub(super) struct MapArguments {
     /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755; a factor may be
-    /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the last sign of a command that was not zero, for a speed without one
+    /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the sign of the last nonzero command, for a speed without sign
     /// (speed_rad_s=rpm*0.104719755*sign(duty))
     #[arg(long, value_name = "MAP")]
     #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
@@ -60,7 +60,7 @@ impl MapArguments {
         given.map(option).collect()
     }
 
-    /// Opens the run with its map; the origins of the command line go before those of a manifest.
+    /// Opens the run with its map; the origins of the command line override those of a manifest.
     pub(super) fn load(&self, path: &Path, terminal: &Terminal) -> Result<LoadedRun, Failure> {
         self.load_with(path, self.map.as_deref(), terminal)
     }
@@ -149,21 +149,20 @@ impl Provenance {
 /// Fit run, hold-out and confirming run of a command, and the model that they judge.
 #[derive(Args, Clone, Debug)]
 pub(super) struct EvidenceArguments {
-    /// Another run, which the fit has not seen; without it the last 40 % of RUN are held out, more where they stand still
+    /// Another run, not used in the fit; without it the last 40 % of RUN are held out, more where the shaft stands still
     #[arg(long, value_name = "RUN2", value_parser = run_path())]
     holdout: Option<PathBuf>,
-    /// A third run, which has no part in the answer: the answer is repeated on it, and the headline error is from there
+    /// A third run, used neither to fit nor to select: the diagnosis is repeated on it, and the headline error is from it
     #[arg(long, value_name = "RUN3", value_parser = run_path())]
     confirm: Option<PathBuf>,
-    /// A later run of the same machine, as a recommended one: fitted behind RUN, so that both count; may be
-    /// given again
+    /// A later run of the same machine, as the recommended one: fitted together with RUN; may be repeated
     #[arg(long = "with", value_name = "RUN4", value_parser = run_path())]
     later: Vec<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
 }
 
-/// A second run behind the one that is allowed: refused with the option that was meant.
+/// A second run where one is allowed: refused, with the options for further runs.
 #[derive(Args, Clone, Debug)]
 pub(super) struct MoreRuns {
     #[arg(hide = true, value_name = "ANOTHER")]
@@ -173,8 +172,8 @@ pub(super) struct MoreRuns {
 impl MoreRuns {
     pub(super) fn refuse(&self) -> Result<(), Failure> {
         self.more.first().map_or(Ok(()), |second| {
-            let headline = format!("one run is judged, and another is given: {}", second.display());
-            let help = "name the run to judge by with --holdout, one to fit with it with --with, a third with --confirm, models with --model";
+            let headline = format!("one run is expected, and another is given: {}", second.display());
+            let help = "give a hold-out run with --holdout, a run to fit too with --with, a confirming run with --confirm, models with --model";
             Err(Failure::usage(headline, help))
         })
     }
@@ -247,10 +246,10 @@ pub(super) struct WireArguments {
     /// Time for one reply
     #[arg(long, value_name = "MS", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=60_000))]
     timeout_ms: u64,
-    /// Silence before a request over a serial line; without it what the standard says for the baud rate
+    /// Silence before a request over a serial line; without it that of the standard for the baud rate
     #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
     gap_us: Option<u64>,
-    /// The same in ms; 0 for a peer that needs no silence to tell frames apart
+    /// The same in ms; 0 for a unit that needs no silence between frames
     #[arg(long, value_name = "MS", conflicts_with = "gap_us", value_parser = gap_ms)]
     gap: Option<f64>,
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
@@ -322,7 +321,7 @@ pub(super) fn open_line(
         let (gap_s, standard_s) = (gap.as_secs_f64(), standard_gap_s(baud, framing));
         if gap_s < standard_s {
             terminal.message(&format!(
-                "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that tells frames by silence may take two for one",
+                "warning: {} ms of silence before a request is below the standard's {:.2} ms at {baud} {}: a unit that separates frames by silence may read two as one",
                 1e3 * gap_s,
                 1e3 * standard_s,
                 framing.name()
@@ -344,14 +343,14 @@ pub(super) struct LiveArguments {
     /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time), sim:rtu (the same over Modbus RTU) or emulator; overrides the bench file
     #[arg(long, value_name = "PORT")]
     pub(super) port: Option<String>,
-    /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; counts with the ports emulator and sim:
-    /// only, which it does not choose
+    /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; only with --port emulator or sim:, which
+    /// it does not select
     #[arg(long, value_name = "EMULATOR")]
     emulator: Option<String>,
     /// Seed of the software drive: draws the specimen and the sensor noise
     #[arg(long)]
     seed: Option<u64>,
-    /// Hide an effect that this number draws in the emulated motor; `commission` shows it at the end
+    /// Hide an effect in the emulated motor, drawn from this seed; `commission` shows it at the end
     #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
     mystery: Option<u64>,
     /// Where run folders are made
@@ -370,7 +369,7 @@ pub(super) struct LiveArguments {
     #[arg(long)]
     reset_fault: bool,
     /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
-    /// drive's watchdog time and 10 s; beside a screen until Space, q or Ctrl-C ends the search
+    /// drive's watchdog time and 10 s; with a screen until Space, q or Ctrl-C ends the search
     #[arg(long, value_name = "SECONDS", value_parser = seconds)]
     reopen_s: Option<f64>,
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
@@ -379,7 +378,7 @@ pub(super) struct LiveArguments {
     /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
     #[arg(long)]
     parquet: bool,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     pub(super) full: bool,
     /// Print JSON; as with --headless there is no question before the motor starts
@@ -441,7 +440,7 @@ impl LiveArguments {
         given.into_iter().flatten().flat_map(|option| [" ".to_owned(), option]).collect()
     }
 
-    /// Name and text of the bench file, for what is wrong in it; no text of the embedded one.
+    /// Name and text of the bench file, for messages about errors in it; no text of the embedded one.
     pub(super) fn source(&self) -> Result<(String, String), Failure> {
         Ok(match &self.bench {
             Some(path) => (path.display().to_string(), read_text(path)?),
@@ -476,7 +475,7 @@ impl LiveArguments {
     }
 }
 
-/// Checks that may be waived, each by its own option. The waivers stand in the manifest, the log and the messages.
+/// Checks that may be waived, each by its own option. The waivers are recorded in the manifest, the log and the messages.
 #[derive(Args, Clone, Copy, Debug)]
 #[expect(clippy::struct_field_names, reason = "the names of the options")]
 struct Waive {
@@ -509,7 +508,7 @@ pub(super) fn by_name<T: Copy, const N: usize>(
     text: &str,
 ) -> Result<T, String> {
     all.into_iter()
-        .find(|one| name(*one) == text)
+        .find(|value| name(*value) == text)
         .ok_or_else(|| format!("expected one of {}", all.map(name).join(", ")))
 }
 
@@ -528,7 +527,7 @@ fn seconds(text: &str) -> Result<f64, String> {
     is_allowed.then_some(seconds).ok_or_else(|| "allowed: 0 (off) to 86400 s".to_owned())
 }
 
-/// For commands that find a motor of which nothing is known.
+/// Option of the commands that can identify an unknown motor.
 #[derive(clap::Args, Clone, Copy, Debug)]
 pub(super) struct UnknownMotor {
     /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the

@@ -1,4 +1,4 @@
-//! `bode`: the frequency response of recorded runs, a model's beside it, as card, table and picture.
+//! `bode`: the frequency response of recorded runs and of a model, as card, table and picture.
 
 use std::path::{Path, PathBuf};
 
@@ -22,13 +22,13 @@ use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::sample::Channel;
 use drivebench_model::text::number::significant;
 
-/// Frequency response of recorded runs: magnitude, phase, coherence; resonances with their damping; a model's beside it
+/// Frequency response of recorded runs: magnitude, phase, coherence; resonances with their damping; that of a model
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench bode runs/latest
   drivebench bode runs/a --model model.toml --svg bode.svg     where model and measurement differ
-  drivebench bode runs/a runs/b --csv bode.csv                 of one machine, taken together
-A chirp about an offset carries most: bench-configs/benches/zk-22fc-frequency-response.toml.")]
+  drivebench bode runs/a runs/b --csv bode.csv                 of one machine, evaluated together
+A chirp about an offset excites best: bench-configs/benches/zk-22fc-frequency-response.toml.")]
 pub(super) struct Arguments {
     /// Run folders, samples.csv, or any CSV with --map, all of one machine
     #[arg(required = true, value_parser = run_path())]
@@ -36,7 +36,7 @@ pub(super) struct Arguments {
     /// Model file; without it that of the first run's folder
     #[arg(long, value_parser = run_path())]
     model: Option<PathBuf>,
-    /// voltage-to-speed, voltage-to-current or current-to-speed; without it current-to-speed where it shows a mode, else the first that is carried
+    /// voltage-to-speed, voltage-to-current or current-to-speed; without it current-to-speed if it has a resonance, else the first with sufficient coherence
     #[arg(long, value_parser = pathway)]
     pathway: Option<Pathway>,
     #[command(flatten)]
@@ -44,13 +44,13 @@ pub(super) struct Arguments {
     /// Write a row for each point and pathway; never overwritten
     #[arg(long, value_name = "FILE.csv")]
     csv: Option<PathBuf>,
-    /// Write a picture: magnitude, phase, coherence, the model's beside them; never overwritten
+    /// Write a picture: magnitude, phase, coherence, and those of the model; never overwritten
     #[arg(long, value_name = "FILE.svg")]
     svg: Option<PathBuf>,
-    /// See it on the screen
+    /// Show it on the screen
     #[arg(long, conflicts_with = "json")]
     screen: bool,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -79,7 +79,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(path) = &arguments.svg {
         terminal.file(path, &found.svg(pathway)?)?;
     }
-    // From here on a screen owns the terminal and the signals.
+    // From here on a screen uses the terminal and handles the signals.
     drop(attended);
     if arguments.screen {
         show_response(found.title(), found.compared.clone(), Some(pathway), terminal)?;
@@ -98,12 +98,12 @@ pub(crate) struct Bode {
     pub(crate) compared: Compared,
     notes: Vec<String>,
     #[serde(skip)]
-    go_on: GoOn,
+    go_on: NextOptions,
 }
 
 /// Options of the next commands.
 #[derive(Default)]
-struct GoOn {
+struct NextOptions {
     run: String,
     model: Option<String>,
     map_words: String,
@@ -124,7 +124,7 @@ impl Bode {
             let mut found = cautions(run, &scenario);
             if run.points(Channel::Reference).next().is_some() {
                 found.push(format!(
-                    "{}: recorded in a closed loop: what disturbs the speed moves the voltage too, and draws the response towards that of the regulator turned round",
+                    "{}: recorded in a closed loop: disturbances of the speed act on the voltage too, and bias the response towards the inverse of the controller",
                     run.name
                 ));
             }
@@ -135,13 +135,13 @@ impl Bode {
         let model = model(arguments.model.as_deref(), loaded.first(), terminal)?;
         let (model_from, model) = model.unzip();
         terminal.stage("follows the model", 0);
-        let beside = model.map(|model| of_model(&model, &scenarios)).transpose()?;
+        let predicted = model.map(|model| of_model(&model, &scenarios)).transpose()?;
         terminal.stage("estimates the response", 0);
-        let mut compared = compared(&scenarios, beside.as_deref())?;
+        let mut compared = compared(&scenarios, predicted.as_deref())?;
         compared.measured.cautions.extend(of_runs);
         Ok(Self {
-            runs: loaded.iter().map(|own| own.run.name.clone()).collect(),
-            go_on: GoOn {
+            runs: loaded.iter().map(|loaded| loaded.run.name.clone()).collect(),
+            go_on: NextOptions {
                 run: arguments.runs.first().map_or_else(String::new, |run| quoted(run)),
                 model: model_from.as_deref().map(quoted),
                 map_words: arguments.map.words(),
@@ -161,12 +161,13 @@ impl Bode {
             }),
             Some(pathway) if measured.of(pathway).is_some() => Ok(pathway),
             Some(pathway) => {
-                let there: Vec<_> = measured.pathways.iter().map(|own| own.pathway.key()).collect();
+                let available: Vec<_> =
+                    measured.pathways.iter().map(|own| own.pathway.key()).collect();
                 Err(Failure::usage(
                     format!(
-                        "--pathway {}: one of its signals was not measured (there: {})",
+                        "--pathway {}: one of its signals was not measured (measured: {})",
                         pathway.key(),
-                        there.join(", ")
+                        available.join(", ")
                     ),
                     "choose another pathway, or map the column with --map",
                 ))
@@ -174,10 +175,10 @@ impl Bode {
         }
     }
 
-    /// Fails where the excitation carries nothing; checked after the result is printed.
+    /// Fails where no frequency has sufficient coherence; checked after the result is printed.
     fn check(&self) -> Result<(), Failure> {
         let mut pathways = self.compared.measured.pathways.iter();
-        if pathways.any(|own| !own.bands_hz().is_empty()) {
+        if pathways.any(|response| !response.bands_hz().is_empty()) {
             return Ok(());
         }
         Err(Failure::not_identifiable(
@@ -213,12 +214,10 @@ impl Bode {
     fn headline(&self, own: &PathwayResponse, bands: &[(f64, f64)]) -> String {
         let modes = self.compared.measured.modes_of(own.pathway);
         match (modes.as_slice(), bands) {
-            (_, []) => "the excitation carries no frequency".to_owned(),
-            ([], [(from, _), .., (_, to)] | [(from, to)]) => format!(
-                "no resonance is named from {} to {} Hz",
-                significant(*from, 3),
-                significant(*to, 3)
-            ),
+            (_, []) => "no frequency has sufficient coherence".to_owned(),
+            ([], [(from, _), .., (_, to)] | [(from, to)]) => {
+                format!("no resonance from {} to {} Hz", significant(*from, 3), significant(*to, 3))
+            }
             (modes, _) => {
                 let modes: Vec<String> = modes.iter().map(Mode::text).collect();
                 modes.join("; ")
@@ -226,7 +225,7 @@ impl Bode {
         }
     }
 
-    /// Of the other pathways.
+    /// Modes of the other pathways.
     fn other_modes(&self, shown: Pathway) -> Vec<String> {
         let measured = &self.compared.measured;
         let others = Pathway::ALL.into_iter().filter(|own| *own != shown);
@@ -269,31 +268,32 @@ impl Bode {
         )
     }
 
-    /// Of the model, and the bands farther down in which it departs.
+    /// The model and its largest departure; the smaller departures, for the full text.
     fn model_sentences(&self, shown: Pathway) -> (Vec<String>, Vec<String>) {
         let Some(from) = &self.model_from else {
-            let none = "none beside it: give one with --model";
+            let none = "none: give one with --model";
             return (vec![none.to_owned()], Vec::new());
         };
         let modes = self.compared.model.as_ref().map(|model| model.modes_of(shown));
         let modes: Vec<_> = modes.iter().flatten().map(Mode::text).collect();
         let mut sentences = Vec::new();
         if !modes.is_empty() {
-            sentences.push(format!("its own {}", modes.join("; ")));
+            sentences.push(format!("predicts {}", modes.join("; ")));
         }
         let all = &self.compared.departures;
         if all.is_empty() {
-            sentences
-                .push(format!("{from}: within the intervals wherever the response is carried"));
+            sentences.push(format!(
+                "{from}: within the confidence intervals wherever the coherence suffices"
+            ));
             return (sentences, Vec::new());
         }
         let missing = self.compared.missing_resonances();
         sentences.extend(missing.iter().map(|mode| {
             let at = significant(mode.frequency_hz, 3);
-            format!("no resonance at {at} Hz: an elastic coupling would look like that")
+            format!("no resonance at {at} Hz: an elastic coupling would cause it")
         }));
         let mut bands: Vec<&Departure> = all.iter().collect();
-        // What is shown first, and of it what is farthest off.
+        // The shown pathway first, and of each the largest departure.
         bands.sort_by(|a, b| {
             let is_other = |own: &Departure| own.pathway != shown;
             let sizes = b.magnitude_db.abs().total_cmp(&a.magnitude_db.abs());
@@ -311,18 +311,16 @@ impl Bode {
             return Vec::new();
         };
         let span = (last.frequency_hz / first.frequency_hz).ln().max(1e-9);
-        let place = |hertz: f64| {
+        let interval = |hertz: f64| {
             let share = (hertz / first.frequency_hz).ln() / span * 12.0;
             share.floor().min(11.0)
         };
+        let is_same = |a: f64, b: f64| (interval(a) - interval(b)).abs() < 0.5;
         let modes = self.compared.measured.modes_of(own.pathway);
-        let shown =
-            carried.chunk_by(|a, b| (place(a.frequency_hz) - place(b.frequency_hz)).abs() < 0.5);
+        let shown = carried.chunk_by(|a, b| is_same(a.frequency_hz, b.frequency_hz));
         let shown = shown.map(|points| {
-            let in_reach = |mode: &&Mode| {
-                (place(mode.frequency_hz) - place(points[0].frequency_hz)).abs() < 0.5
-            };
-            let mode = modes.iter().find(in_reach);
+            let hertz = points[0].frequency_hz;
+            let mode = modes.iter().find(|mode| is_same(mode.frequency_hz, hertz));
             let point = mode.map_or(points[points.len() / 2], |mode| {
                 let apart =
                     |point: &ResponsePoint| (point.frequency_hz / mode.frequency_hz).ln().abs();
@@ -338,8 +336,8 @@ impl Bode {
         let bars = shown.into_iter().map(|(point, mode)| {
             let mode = mode.map_or_else(String::new, |mode| {
                 let apart = (point.frequency_hz / mode.frequency_hz).ln().abs();
-                let beside = if apart > 0.01 { "beside the " } else { "" };
-                format!("{beside}{}", mode.kind.name())
+                let near = if apart > 0.01 { "near the " } else { "" };
+                format!("{near}{}", mode.kind.name())
             });
             let name = format!("{:>7} Hz {mode}", significant(point.frequency_hz, 3));
             let value = decibel(point);
@@ -349,7 +347,7 @@ impl Bode {
     }
 
     fn go_on(&self, document: &mut Document, is_empty: bool) {
-        let GoOn { run, model, map_words } = &self.go_on;
+        let NextOptions { run, model, map_words } = &self.go_on;
         if is_empty {
             document.say("record", [CHIRP], 1);
             document.go_on("drivebench run BENCH.toml");
@@ -375,7 +373,10 @@ impl Bode {
         let description = format!("frequency response, {}: {}", pathway.name(), self.title());
         match chart.svg(&description) {
             svg if svg.is_empty() => Err(Failure::not_identifiable(
-                format!("{}: nothing is carried, there is nothing to draw", pathway.name()),
+                format!(
+                    "{}: no frequency has sufficient coherence, nothing is drawn",
+                    pathway.name()
+                ),
                 CHIRP,
             )),
             svg => Ok(standalone(&svg)),
@@ -389,17 +390,18 @@ impl Bode {
         model.map_or_else(|| runs.clone(), |model| format!("{runs}; model: {model}"))
     }
 
-    /// A row for each point of each pathway, the model's values beside the measured ones.
+    /// A row for each point of each pathway, with the measured values and the model's.
     fn csv(&self) -> Result<String, Failure> {
         let Compared { measured, model, .. } = &self.compared;
         let mut writer = csv::Writer::from_writer(Vec::new());
         let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
         for own in &measured.pathways {
-            let beside = model.as_ref().and_then(|model| model.of(own.pathway));
-            let beside = beside.map_or(&[][..], |beside| beside.points.as_slice());
+            let predicted = model.as_ref().and_then(|model| model.of(own.pathway));
+            let predicted = predicted.map_or(&[][..], |response| response.points.as_slice());
             for point in &own.points {
-                let place = beside.partition_point(|other| other.frequency_hz < point.frequency_hz);
-                let other = beside.get(place);
+                let index =
+                    predicted.partition_point(|other| other.frequency_hz < point.frequency_hz);
+                let other = predicted.get(index);
                 let other = other.filter(|other| other.frequency_hz <= point.frequency_hz);
                 writer
                     .serialize(Row {
@@ -426,7 +428,7 @@ impl Bode {
     }
 }
 
-/// What carries a response, as a bench file has it.
+/// An excitation with sufficient coherence, as written in a bench file.
 const CHIRP: &str = "[[sequence]] chirp = { amplitude_v = 6.0, from_hz = 0.5, to_hz = 40.0, seconds = 30.0, offset_v = 20.0 } in the bench file, about an offset that keeps the shaft turning";
 
 #[derive(Serialize)]
@@ -445,7 +447,7 @@ struct Row {
     model_phase_rad: Option<f64>,
 }
 
-/// The model that is named, else the one in the run's folder; that one may have gaps, and is then left out.
+/// The model that is named, else the one in the run's folder, unless it is incomplete.
 fn model(
     path: Option<&Path>,
     first: Option<&LoadedRun>,

@@ -1,5 +1,4 @@
-//! Screens over recorded runs: the diagnosis by hand with its analysis on another thread and its model file, and the
-//! frequency response, which has no analysis behind it.
+//! Screens over recorded runs: the diagnosis by hand, whose analysis runs on another thread, and the frequency response.
 
 use std::fmt::Write as _;
 use std::io::{ErrorKind, Write as _};
@@ -10,10 +9,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use serde::Serialize;
 
-use crate::commands::evidence::{EvidenceFiles, Judging, Place, Prepared, prepare};
+use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, RecommendationBench, prepare};
 use crate::commands::pages;
 use crate::report::{Document, wording};
-use crate::runtime::ending::{ScreenEnd, Watched, spawn, watched};
+use crate::runtime::ending::{ScreenEnd, ScreenReturn, spawn, watched};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{Recorded, load, model_file};
 use crate::runtime::output::{Terminal, quoted_word};
@@ -27,7 +26,7 @@ use drivebench_diagnose::{Diagnosis, NextExperiment};
 use drivebench_identify::frequency_response::{Compared, Pathway};
 use drivebench_model::plant::FileHistory;
 
-/// What the screen and the model file hold of the runs.
+/// Data of the runs for the screen and the model file.
 pub(crate) struct Shown {
     pub(crate) title: String,
     pub(crate) opens: Opens,
@@ -39,72 +38,72 @@ pub(crate) struct Shown {
     pub(crate) output: Option<PathBuf>,
 }
 
-/// The model and its answer as they are.
+/// The present model and its diagnosis.
 #[derive(Clone, Debug, Default)]
-pub(crate) struct Standing {
-    /// The latest answer; none before the first.
+pub(crate) struct ScreenResult {
+    /// The latest diagnosis; none before the first.
     pub(crate) diagnosis: Option<Diagnosis>,
-    /// The run that was recommended with it; `None` also where it was not waited for.
+    /// The run that was recommended with it; `None` also where the screen was left before.
     pub(crate) next: Option<NextExperiment>,
-    /// What was changed by hand, each with the held-out error after it.
+    /// The changes by hand, each with the held-out error after it.
     changes: Vec<String>,
-    /// Changes after the answer.
-    since: usize,
+    /// Changes after the diagnosis.
+    undiagnosed: usize,
     /// Files of models that were written.
     written: Vec<String>,
-    /// The last of them is the model as it is now.
+    /// Whether the last of them is the present model.
     is_written: bool,
 }
 
-impl Standing {
+impl ScreenResult {
     fn update(&mut self, news: &News) {
-        let (sign, result) = match news {
-            News::Added(result) => ("+", result),
-            News::Removed(result) => ("-", result),
+        let (sign, change) = match news {
+            News::Added(change) => ("+", change),
+            News::Removed(change) => ("-", change),
             News::Diagnosed(diagnosis) => {
                 self.diagnosis = Some((**diagnosis).clone());
-                (self.next, self.since) = (None, 0);
+                (self.next, self.undiagnosed) = (None, 0);
                 return;
             }
             News::Undone { .. } => {
-                // The answer to the restored model follows at once.
+                // The diagnosis of the restored model follows at once.
                 self.changes.pop();
                 self.is_written = false;
-                (self.diagnosis, self.next, self.since) = (None, None, 0);
+                (self.diagnosis, self.next, self.undiagnosed) = (None, None, 0);
                 return;
             }
             News::Recommended(next) => return self.next = next.as_deref().cloned(),
             _ => return,
         };
-        if let (true, Some(rung)) = (result.accepted, result.ladder.last()) {
+        if let (true, Some(rung)) = (change.accepted, change.ladder.last()) {
             self.changes.push(format!(
                 "{sign} {}: held-out error {:.2} {}",
-                result.effect,
+                change.effect,
                 rung.holdout_rmse,
-                wording::times(result.after.noise_floor_from)
+                wording::times(change.after.noise_floor_from)
             ));
             self.is_written = false;
-            self.since += 1;
+            self.undiagnosed += 1;
         }
     }
 
-    /// File of the model as it is now.
+    /// File of the present model.
     pub(crate) fn model(&self) -> Option<&str> {
         self.written.last().filter(|_| self.is_written).map(String::as_str)
     }
 
-    /// The changes by hand, and whether the answer below is older than they are; empty where nothing was changed.
+    /// The changes by hand, and whether the diagnosis is older than they are; empty where nothing was changed.
     pub(crate) fn heading(&self) -> String {
         let mut text: String =
             self.changes.iter().flat_map(|change| [change.as_str(), "\n"]).collect();
-        if self.since > 0 {
-            let last = match self.since {
+        if self.undiagnosed > 0 {
+            let last = match self.undiagnosed {
                 1 => "change".to_owned(),
                 last => format!("{last} changes"),
             };
             let _ = writeln!(
                 text,
-                "left before there was an answer to that model: what follows is about the model without the last {last}"
+                "left before this model was diagnosed: the diagnosis is that of the model without the last {last}"
             );
         }
         text
@@ -115,7 +114,7 @@ impl Standing {
 pub(crate) struct Closed {
     exit: Exit,
     hang_up: Arc<AtomicBool>,
-    pub(crate) standing: Standing,
+    pub(crate) result: ScreenResult,
 }
 
 impl Closed {
@@ -125,24 +124,24 @@ impl Closed {
     }
 }
 
-/// Diagnoses a run that was just recorded, where its screen was left for that; its last part is held out. The file of the
-/// model as it is then, where one was written.
+/// Diagnoses a run that was just recorded, if the user left its screen by that key; its last part is held out. Returns the
+/// file of the model, if one was written.
 pub(crate) fn go_on(
     screen: &ScreenEnd,
     folder: &Path,
     terminal: &Terminal,
 ) -> Result<Option<String>, Failure> {
     let ScreenEnd::Screen(exit) = screen else { return Ok(None) };
-    let Some(opens) = Opens::asked_by(*exit) else { return Ok(None) };
+    let Some(opens) = Opens::after(*exit) else { return Ok(None) };
     let closed = show_run(folder, opens, terminal)?;
     if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    Ok(closed.standing.model().map(str::to_owned))
+    Ok(closed.result.model().map(str::to_owned))
 }
 
-/// Diagnoses a run that was just recorded where its screen was left for that, prints its result however that went, and ends
-/// as the run did: a trip or a lost drive goes before anything that happened in the diagnosis.
+/// Diagnoses a run that was just recorded, if requested, and prints the result of the run in any case. A failure of the run
+/// (a trip, a lost drive) has priority over a failure of the diagnosis.
 pub(super) fn finish<T: Serialize>(
     screen: ScreenEnd,
     recorded: &Recorded,
@@ -180,10 +179,10 @@ pub(super) fn show_prepared(
     opens: Opens,
     terminal: &Terminal,
 ) -> Result<Closed, Failure> {
-    let place = Place::of(None, prepared, terminal)?;
+    let target = RecommendationBench::of(None, prepared, terminal)?;
     let discovery = Discovery::new(prepared.model.file.model.clone(), prepared.evidence.clone())
         .with_recorded(prepared.recorded.clone())
-        .with_limits(place.limits());
+        .with_limits(target.limits());
     let shown = Shown {
         title,
         opens,
@@ -212,12 +211,12 @@ pub(crate) fn show(
         orders,
         hang_up: Arc::clone(&hang_up),
     };
-    let standing = Arc::new(Mutex::new(Standing::default()));
+    let result = Arc::new(Mutex::new(ScreenResult::default()));
     let gone = Arc::new(AtomicBool::new(false));
     let worker = Worker {
         shown,
         news: sender,
-        standing: Arc::clone(&standing),
+        result: Arc::clone(&result),
         gone: Arc::clone(&gone),
         terminal: terminal.clone(),
     };
@@ -231,12 +230,12 @@ pub(crate) fn show(
         gone.store(true, Ordering::Release);
     }
     drop(held);
-    let standing = lock(&standing).clone();
-    // The screen that showed it is gone.
-    for path in &standing.written {
+    let result = lock(&result).clone();
+    // The screen that displayed them is closed.
+    for path in &result.written {
         terminal.message(&written_text(path));
     }
-    Ok(Closed { exit: exit_of(exit?)?, hang_up, standing })
+    Ok(Closed { exit: exit_of(exit?)?, hang_up, result })
 }
 
 /// Shows a screen under which nothing is energised until it is left, or its terminal is gone.
@@ -244,7 +243,7 @@ fn until_left(
     screen: impl Screen + Send + 'static,
     hang_up: &AtomicBool,
     appearance: Appearance,
-) -> Result<Watched, Failure> {
+) -> Result<ScreenReturn, Failure> {
     let closed = AtomicBool::new(false);
     watched(
         move || tui::show(screen, appearance),
@@ -253,15 +252,17 @@ fn until_left(
     )
 }
 
-fn exit_of(watched: Watched) -> Result<Exit, Failure> {
+fn exit_of(watched: ScreenReturn) -> Result<Exit, Failure> {
     match watched {
-        Watched::Left(Exit::WorkerPanicked) => Err(Failure::internal("the analysis has panicked")),
-        Watched::Left(exit) => Ok(exit),
-        // Closed, most likely: nothing is energised, and a model that was written is there.
-        Watched::Failed(reason) => {
+        ScreenReturn::Left(Exit::WorkerPanicked) => {
+            Err(Failure::internal("the analysis has panicked"))
+        }
+        ScreenReturn::Left(exit) => Ok(exit),
+        // The terminal was closed, most likely: nothing is energised, and a model that was written is complete.
+        ScreenReturn::Failed(reason) => {
             Err(Failure::interrupted(format!("the screen has failed: {reason}")))
         }
-        Watched::Panicked(text) => {
+        ScreenReturn::Panicked(text) => {
             Err(Failure::internal(format!("the screen has panicked ({text})")))
         }
     }
@@ -285,8 +286,8 @@ pub(crate) fn show_response(
     Ok(())
 }
 
-fn lock(standing: &Mutex<Standing>) -> MutexGuard<'_, Standing> {
-    standing.lock().unwrap_or_else(PoisonError::into_inner)
+fn lock(result: &Mutex<ScreenResult>) -> MutexGuard<'_, ScreenResult> {
+    result.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn written_text(path: &str) -> String {
@@ -297,7 +298,7 @@ fn written_text(path: &str) -> String {
 struct Worker {
     shown: Shown,
     news: Sender<News>,
-    standing: Arc<Mutex<Standing>>,
+    result: Arc<Mutex<ScreenResult>>,
     /// The screen was left.
     gone: Arc<AtomicBool>,
     terminal: Terminal,
@@ -307,7 +308,7 @@ impl Worker {
     /// Carries orders out until the screen was left.
     fn carry_out(&self, mut discovery: Discovery, orders: &Receiver<Order>) {
         let publish = |news: News| {
-            lock(&self.standing).update(&news);
+            lock(&self.result).update(&news);
             // A screen that was left receives no news.
             let _ = self.news.send(news);
         };
@@ -320,9 +321,9 @@ impl Worker {
                 Ok(path) => {
                     let path = path.display().to_string();
                     let text = written_text(&path);
-                    let mut standing = lock(&self.standing);
-                    standing.written.push(path);
-                    standing.is_written = true;
+                    let mut result = lock(&self.result);
+                    result.written.push(path);
+                    result.is_written = true;
                     News::Written(text)
                 }
                 Err(reason) => News::NotWritten(reason),
@@ -398,22 +399,22 @@ mod tests {
         assert!(!folder.path().join("late.toml").exists());
     }
 
-    /// A motor with a fan, which is not in the model; at rest for long enough to know the noise.
+    /// A motor with a fan, which is not in the model; at rest for long enough to estimate the noise.
     fn discovery() -> Discovery {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         Discovery::new(Model::baseline(Motor::zk_22fc()), evidence)
     }
 
     #[test]
-    fn the_result_is_that_of_the_model_as_it_is() {
+    fn the_result_is_that_of_the_present_model() {
         let mut discovery = discovery();
-        let standing = Mutex::new(Standing::default());
-        let now = || standing.lock().unwrap().clone();
-        // As if the screen were left in the middle: the answer is old, and marked so.
+        let result = Mutex::new(ScreenResult::default());
+        let now = || result.lock().unwrap().clone();
+        // As if the screen were left in between: the diagnosis is marked as older than the model.
         let between = Mutex::new(None);
         for order in [Order::Diagnose, Order::Add("quadratic_load")] {
             discovery.carry_out(order, &|news| {
-                standing.lock().unwrap().update(&news);
+                result.lock().unwrap().update(&news);
                 if let News::Added(_) = news {
                     *between.lock().unwrap() = Some(now());
                 }

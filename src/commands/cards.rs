@@ -2,7 +2,7 @@
 
 use crate::commands::identify::{Answer, is_usable};
 use crate::commands::report::last_rows;
-use crate::commands::run::Whole;
+use crate::commands::run::CompletedRun;
 use crate::commands::speed::{SpeedResult, delay_text};
 use crate::report::{Cell, Document, Table, Tone, conventions, tables};
 use crate::runtime::files::Recorded;
@@ -19,20 +19,20 @@ use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::text::number::{fixed, significant, with_std};
 
 /// Outcome, parameters on line, and whether the nameplate fits.
-pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
+pub(crate) fn run(whole: &CompletedRun, plate: Option<&Comparison>) -> Document {
     let recorded = &whole.recorded;
     let timing = &recorded.summary.timing;
-    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let (achieved_hz, requested_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
     let mut document =
-        account(&recorded.summary, &format!(" {achieved_hz:.1} of {asked_hz:.0} Hz,"));
+        outcome_document(&recorded.summary, &format!(" {achieved_hz:.1} of {requested_hz:.0} Hz,"));
     if let Some(found) = &whole.escalation {
         found.put("motor", &mut document);
     }
     let estimates = recorded.summary.estimates.as_slice();
-    let nameplate = Model::baseline(whole.plate.clone());
+    let nameplate = Model::baseline(whole.nameplate_motor.clone());
     let nameplate = Some(&nameplate);
     tables::parameter_section(&mut document, "on line", nameplate, &[], estimates, 5);
-    tables::plate(&mut document, plate);
+    tables::nameplate_section(&mut document, plate);
     let command = match recorded.summary.outcome {
         Outcome::Done => "diagnose",
         _ => "view",
@@ -46,7 +46,7 @@ pub(crate) fn run(whole: &Whole, plate: Option<&Comparison>) -> Document {
 fn end_of_run(document: &mut Document, recorded: &Recorded) {
     let page = recorded.folder.file(RunFile::Report);
     let last = if page.exists() {
-        document.is_of_a_motion();
+        document.rest_is_on_page();
         page.as_path()
     } else {
         recorded.folder.path()
@@ -55,7 +55,7 @@ fn end_of_run(document: &mut Document, recorded: &Recorded) {
 }
 
 /// Outcome, rows and losses of a run.
-fn account(summary: &RunSummary, rate: &str) -> Document {
+fn outcome_document(summary: &RunSummary, rate: &str) -> Document {
     let (outcome, rows) = (summary.outcome.name(), summary.rows);
     let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
     let (lost, sent) = (summary.link.lost(), summary.link.sent);
@@ -75,10 +75,10 @@ fn account(summary: &RunSummary, rate: &str) -> Document {
     document.say("last 2 s", summary.last_seconds.map(last_rows), 1);
     let frozen = &summary.frozen;
     let limited = (frozen.rows as f64 > 0.1 * summary.rows as f64).then(|| {
-        let (held, seconds) = (frozen.rows, frozen.seconds);
+        let (limited, seconds) = (frozen.rows, frozen.seconds);
         format!(
-            "a limit of the drive held its output in {held} of {rows} rows, {seconds:.1} s: nothing is learnt there; slower or smaller \
-             steps stay clear of it"
+            "a limit of the drive was active in {limited} of {rows} rows, {seconds:.1} s: nothing is identified from them; use \
+            slower or smaller steps"
         )
     });
     document.say("limited", limited, 1);
@@ -92,9 +92,11 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let all = answer.combined.len();
     let tone = if known == all { Tone::Good } else { Tone::Attention };
     let runs = match answer.runs.len() {
-        1 => "± is one standard deviation, 1.96 of them hold 95 %".to_owned(),
+        1 => "± is one standard deviation; the 95 % interval is 1.96 of them".to_owned(),
         runs if answer.joint.is_some() => {
-            format!("{runs} runs, fitted one by one and as one; the spread is that from run to run")
+            format!(
+                "{runs} runs, fitted one by one and together; the spread is that from run to run"
+            )
         }
         runs => format!("mean of {runs} runs; the spread is that from run to run"),
     };
@@ -124,7 +126,7 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
         let load = conventions::on_load_shaft(&parameters, ratio);
         tables::parameter_section(&mut document, "at load", None, &[], &load, 2);
     }
-    tables::plate(&mut document, answer.nameplate.as_ref());
+    tables::nameplate_section(&mut document, answer.nameplate.as_ref());
     let of_runs = answer.runs.iter().flat_map(|run| &run.found.notes);
     document.say("note", answer.caution.iter().chain(of_runs).map(String::as_str), 1);
     let converted = conventions::of(&parameters);
@@ -161,15 +163,15 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
         ("cycles without a speed, output held", report.held_cycles.to_string()),
     ];
     document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
-    let other = of_another_machine(result.motor, &summary.estimates);
+    let other = changed_parameters(result.motor, &summary.estimates);
     document.say("machine", other, 2);
     document.table_on_card("tracking", tracking(report), &["reference followed"], 2);
-    document.say("", softened_text(report), 1);
+    document.say("", reduced_gain_text(report), 1);
     let mut all = steps_text(report);
     if summary.outcome != Outcome::Done
         && let Some(last) = all.last_mut()
     {
-        last.push_str("; of whole steps: the last was cut short");
+        last.push_str("; complete steps only: the last was interrupted");
     }
     document.say("steps", all, 2);
     document.table_on_card(
@@ -224,7 +226,7 @@ fn steps(report: &SpeedReport) -> Table {
 /// Tracking errors, steps, and the gains at the end.
 pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, options: &str) -> Document {
     let summary = result.summary;
-    let mut document = account(summary, "");
+    let mut document = outcome_document(summary, "");
     document.append(speed_loop(result));
     if summary.outcome == Outcome::Done {
         let both = summary.speed.as_ref().is_some_and(|report| report.tracking.len() > 1);
@@ -241,8 +243,8 @@ pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, options: &str
     document
 }
 
-/// Values that differ from those that the loop was tuned on; of an inertia that changed, the estimate so far.
-fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
+/// Parameters that differ from those that the loop was tuned on; for an inertia that has changed, the present estimate.
+fn changed_parameters(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
     let compared = nameplate::compare(tuned_on, found);
     let rows = compared.rows.iter().filter(|row| row.fits == Fits::No);
     let sentences = rows.filter_map(|row| {
@@ -261,21 +263,22 @@ fn of_another_machine(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
     sentences.collect()
 }
 
-/// Where a reference is followed twice and the watch lowered the gains, feed-forward is not the only difference of the passes.
-fn softened_text(report: &SpeedReport) -> Option<String> {
-    let softest = |pass: &Tracking| {
+/// Note where a reference was followed twice and an oscillation has lowered the gain: feed-forward is then not the only
+/// difference of the passes.
+fn reduced_gain_text(report: &SpeedReport) -> Option<String> {
+    let least_gain = |pass: &Tracking| {
         let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
         let shares = report.watch.iter().filter(inside).map(|found| found.gain_share);
         shares.fold(1.0, f64::min)
     };
-    let shares: Vec<f64> = report.tracking.iter().map(softest).collect();
-    let is_softened = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);
-    is_softened.then(|| {
+    let shares: Vec<f64> = report.tracking.iter().map(least_gain).collect();
+    let is_reduced = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);
+    is_reduced.then(|| {
         let each = report.tracking.iter().zip(&shares).map(|(pass, share)| {
             format!("{:.0} % {}", 100.0 * share, feed_forward(pass))
         });
         format!(
-            "the loop oscillated and its gain fell to {}: the passes are those of two loops, not of feed-forward alone",
+            "the loop oscillated and its gain was reduced to {}: the passes differ by the gain too, not only by feed-forward",
             each.collect::<Vec<_>>().join(", ")
         )
     })
@@ -299,7 +302,7 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
             None => "none settled".to_owned(),
         };
         Some(format!(
-            "{} {}, on the mean: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}",
+            "{} {}, on average: overshoot {overshoot:.1} %, IAE {error:.2} rad; {settled}",
             steps.len(),
             feed_forward(pass)
         ))
@@ -310,7 +313,7 @@ fn steps_text(report: &SpeedReport) -> Vec<String> {
     let worst = report.steps.iter().skip(1).max_by(|a, b| overshoot(a).total_cmp(&overshoot(b)));
     let worst = worst.filter(|_| report.steps.len() > 2).map(|step| {
         format!(
-            "most overshoot at {:.2} s: {:.1} %, {:.2} rad of error (IAE)",
+            "largest overshoot at {:.2} s: {:.1} %, {:.2} rad of error (IAE)",
             step.step.at_s, step.response.overshoot_percent, step.response.absolute_error_rad
         )
     });

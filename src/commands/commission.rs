@@ -1,22 +1,22 @@
-//! `commission`: the whole loop, guided. The screen and the headless run drive the same state machine, whose tasks are carried out
-//! over a rig until it is finished. On its screen can follow: the recommended run, the speed loop with what was found, the
-//! diagnosis by hand; then the page of the loop again.
+//! `commission`: the whole procedure, guided. The screen and the headless run drive the same state machine, whose tasks are
+//! carried out over a rig until it is finished. From its screen the user may go on to the recommended run, to the speed loop
+//! with the identified model and to the diagnosis by hand, and returns to the screen.
 //!
 //! ```text
-//! commission -> page of the loop -+- x: checks, next-bench.toml, diagnosis of that run -+
-//!                  ^              +- l: checks, speed loop with the model that was found +
-//!                  |              +- d, v: diagnosis by hand -----------------------------+
-//!                  '---------------------------------------------------------------------'
+//! commission -> its screen -+- x: checks, next-bench.toml, diagnosis of that run -+
+//!                  ^        +- l: checks, speed loop with the identified model ---+
+//!                  |        +- d, v: diagnosis by hand ---------------------------+
+//!                  '--------------------------------------------------------------'
 //! ```
 //!
-//! Each energises anew, from the checks on, and a motor of copper is started by hand again.
+//! Each energises anew, from the checks on, and the start of a real motor is confirmed by hand again.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use crate::commands::arguments::{LiveArguments, UnknownMotor};
-use crate::commands::by_hand::{Shown, Standing};
+use crate::commands::by_hand::{ScreenResult, Shown};
 use crate::commands::evidence::admit_later;
 use crate::commands::run::{BETWEEN_RUNS, RunDone, escalate, escalation_failure, run};
 use crate::commands::speed::{SpeedRequest, speed};
@@ -33,8 +33,8 @@ use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::runtime::signals;
 use crate::tui::{Exit, Opens};
 use crate::workflow::{
-    BurstResult, Called, Commission, CommissionResult, Discovery, Progress, ProgressCell, Role,
-    RunRecord, Step, StepState, Task, next_bench,
+    BurstResult, CommandContext, Commission, CommissionResult, Discovery, Progress, ProgressCell,
+    Role, RunRecord, Step, StepState, Task, next_bench,
 };
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{BenchFile, Snapshot, burst_part};
@@ -44,7 +44,7 @@ use drivebench_link::offer::Purpose;
 use drivebench_model::plant::{FileHistory, Model, Scenario};
 use drivebench_model::text::number::significant;
 
-/// The whole loop: check, plan, excite, identify, compare, name the missing effect, add it, report
+/// The whole procedure: check, plan, excite, identify, compare, name the missing effect, add it, report
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench commission --headless                       the emulated motor with a hidden effect
@@ -62,7 +62,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let options = live.options(arguments.unknown.escalate, terminal)?;
     let source = live.source()?;
     let file = live.bench.as_ref().map(|_| source.0.as_str());
-    let called = Called::new(&options.bench, file, live.words());
+    let context = CommandContext::new(&options.bench, file, live.words());
     let cell = ProgressCell::default();
     let shown = live.is_headless().then(|| terminal.progress("commission"));
     let mut log = shown.is_some().then(StepLog::default);
@@ -70,7 +70,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let of_rig = options.clone();
     let printed = terminal.clone();
     let done = conduct(terminal, audience, move |controls| {
-        commission(of_rig, called, Box::new(Rig::open), controls, |latest| {
+        commission(of_rig, context, Box::new(Rig::open), controls, |latest| {
             cell.publish(latest.clone());
             if let Some(log) = &mut log {
                 log.print(latest, &printed);
@@ -79,7 +79,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     })?;
     drop(shown);
     let followed = follow(done.work, done.screen, &options, &source);
-    // The result of the loop is printed however its screen was left.
+    // The result of the commissioning is printed however its screen was left.
     let mut done = followed.done;
     done.document.say("then", followed.results, 4);
     terminal.document(&done.result, live.json, live.full, &done.document)?;
@@ -124,7 +124,7 @@ fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records:
     let next = result.diagnosis.next_experiment.as_ref();
     if next.is_some_and(|next| next.bench.is_some()) {
         document.go_on(format!("drivebench run {}", file(RunFile::NextBench)));
-        // A run that was not made judges nothing.
+        // Only runs that were made can judge.
         let option =
             |(name, run): (&str, &Recorded)| format!(" --{name} {}", quoted(run.folder.path()));
         let judging: String =
@@ -139,7 +139,7 @@ fn go_on(document: &mut Document, result: &CommissionResult, rig: &Rig, records:
     document.ends_with(first.folder.file(RunFile::Report).display().to_string());
 }
 
-/// What the loop leaves behind.
+/// Result of the commissioning, and what the steps after it need.
 struct CommissionDone {
     pub result: CommissionResult,
     pub document: Document,
@@ -152,24 +152,24 @@ struct CommissionDone {
     pub record_failure: Option<Failure>,
 }
 
-/// Carries the loop's tasks out until it is finished; `called` is for the commands of its steps.
+/// Carries out the tasks until the commissioning is finished; `context` is for the commands that its steps print.
 ///
 /// # Errors
 /// A refusal, a trip, a lost drive or an interruption of a run.
 fn commission(
     options: RigOptions,
-    called: Called,
+    context: CommandContext,
     open: OpenRig,
     controls: &Controls,
     mut publish: impl FnMut(&Progress),
 ) -> Result<CommissionDone, Failure> {
     let mut rig = open(options, None, Purpose::Voltages)?;
-    // A machine that changes while it runs is more than what it hides: an answer to it is not scored.
-    let emulator = rig.way.emulator.as_ref();
+    // On a machine that changes while it runs the hidden effects are not the whole truth: the diagnosis is not scored.
+    let emulator = rig.connection.emulator.as_ref();
     let steady = emulator.filter(|emulator| emulator.changes.is_empty());
     let truth = steady.map(|emulator| emulator.hidden.iter().map(TrueEffect::from).collect());
     let (plate, bench) = (Model::baseline(rig.nameplate_motor.clone()), rig.bench.clone());
-    let mut workflow = Commission::new(plate, rig.escalates, bench, truth, called);
+    let mut workflow = Commission::new(plate, rig.escalates, bench, truth, context);
     let mut records: Vec<Recorded> = Vec::new();
     publish(&workflow.progress());
     while workflow.task() != Task::Finished {
@@ -186,7 +186,7 @@ fn commission(
     let result = workflow
         .result()
         .cloned()
-        .ok_or_else(|| Failure::internal("the loop ended without a result"))?;
+        .ok_or_else(|| Failure::internal("the commissioning ended without a result"))?;
     let mut document = pages::commission(workflow.scenarios(), &result, &rig, &records)?;
     if let Some(found) = &result.escalation {
         found.put("found by", &mut document);
@@ -194,7 +194,7 @@ fn commission(
     let burst = result.burst.as_ref().map(BurstResult::text);
     let samples = burst.as_ref().and_then(|text| text.lines().next());
     document.say("burst", samples, 0);
-    tables::plate(&mut document, result.nameplate.as_ref());
+    tables::nameplate_section(&mut document, result.nameplate.as_ref());
     go_on(&mut document, &result, &rig, &records);
     let mut progress = workflow.progress();
     progress.report = Some(Arc::new(document.clone()));
@@ -268,7 +268,7 @@ fn step(
             };
             match recorded.burst().filter(|_| role == Role::Fit) {
                 Some((path, Ok(burst))) => workflow.captured(burst, path.display().to_string()),
-                // An extra: the loop goes on without it.
+                // The burst is optional.
                 Some((_, Err(failure))) => {
                     rig.options
                         .terminal
@@ -281,7 +281,7 @@ fn step(
             records.push(recorded);
         }
         Task::Analyse => {
-            // Nothing is energised and everything recorded is on the disk. Beside a screen the signals are the screen's.
+            // Nothing is energised and everything recorded is on the disk. With a screen, the screen handles the signals.
             let terminal = &rig.options.terminal;
             let _endable =
                 if rig.options.headless { terminal.endable()? } else { terminal.leavable() };
@@ -296,7 +296,7 @@ fn step(
     Ok(())
 }
 
-/// Model, result and report into every run folder of the loop.
+/// Model, result and report into every run folder of the commissioning.
 fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<String, Failure> {
     let nothing = || Failure::internal("nothing to save");
     let result = workflow.result().ok_or_else(nothing)?;
@@ -320,7 +320,7 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
     Ok(report.unwrap_or_else(|| "not written".to_owned()))
 }
 
-/// A commissioning whose screen was left for good, with what followed it.
+/// A commissioning whose screen was closed, with the steps that followed.
 struct Followed {
     done: CommissionDone,
     /// Of each requested step, a sentence.
@@ -337,7 +337,7 @@ fn follow(
     source: &(String, String),
 ) -> Followed {
     let mut results = Vec::new();
-    // Every signal from here on ends what follows, whichever part of it is under way.
+    // From here on a signal ends whichever step is under way.
     let hang_up = match signals::flag() {
         Ok(flag) => flag,
         Err(failure) => return Followed { done, results, outcome: Err(failure) },
@@ -377,7 +377,7 @@ fn follow(
             }
             Err(failure) => break Err(failure),
         }
-        screen = match again(&done, &options.terminal) {
+        screen = match show_again(&done, &options.terminal) {
             Ok(ScreenEnd::Screen(Exit::Interrupted | Exit::Forced)) => break Err(interrupted()),
             Ok(_) if hang_up.load(Ordering::Acquire) => break Err(interrupted()),
             Ok(screen) => screen,
@@ -387,8 +387,8 @@ fn follow(
     Followed { done, results, outcome }
 }
 
-/// An error where the screen of a run that followed was left by an interruption.
-fn goes_on(screen: ScreenEnd, run: Option<Failure>) -> Result<(), Failure> {
+/// The failure of a run that followed, or an interruption of its screen.
+fn conclude_run(screen: ScreenEnd, run: Option<Failure>) -> Result<(), Failure> {
     let is_interrupted = matches!(screen, ScreenEnd::Screen(Exit::Interrupted | Exit::Forced));
     screen.conclude(run)?;
     if is_interrupted {
@@ -397,24 +397,24 @@ fn goes_on(screen: ScreenEnd, run: Option<Failure>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The options of a rig that follows: what is done once, and a capture that has its file, are not done again.
-fn once_more(options: &RigOptions) -> RigOptions {
+/// The options for another rig, without what is done once: escalation, fault reset, capture file.
+fn options_again(options: &RigOptions) -> RigOptions {
     RigOptions { escalate: false, reset_fault: false, tap: None, ..options.clone() }
 }
 
-/// Result of a diagnosis by hand: the changes before the answer, and the answer.
-fn answered(standing: &Standing) -> String {
-    let changes = standing.heading();
-    let answer = standing.diagnosis.as_ref();
+/// Result of a diagnosis by hand: the changes, and the diagnosis after them.
+fn answered(screen_result: &ScreenResult) -> String {
+    let changes = screen_result.heading();
+    let answer = screen_result.diagnosis.as_ref();
     let answer =
-        answer.map_or_else(|| "left before there was an answer".to_owned(), words::diagnosis);
-    let model = standing.model().map(|model| format!("model: {model}"));
+        answer.map_or_else(|| "left before the diagnosis was done".to_owned(), words::diagnosis);
+    let model = screen_result.model().map(|model| format!("model: {model}"));
     let parts: Vec<_> = changes.lines().chain([answer.as_str()]).chain(model.as_deref()).collect();
     parts.join("; ")
 }
 
-/// The screen of the loop once more; nothing is energised.
-fn again(done: &CommissionDone, terminal: &Terminal) -> Result<ScreenEnd, Failure> {
+/// Shows the screen of the commissioning again; nothing is energised.
+fn show_again(done: &CommissionDone, terminal: &Terminal) -> Result<ScreenEnd, Failure> {
     let cell = ProgressCell::default();
     cell.publish(done.progress.clone());
     let last = Arc::clone(&done.last);
@@ -425,10 +425,10 @@ fn again(done: &CommissionDone, terminal: &Terminal) -> Result<ScreenEnd, Failur
     Ok(ended.screen)
 }
 
-/// The folder of the run that was fitted, in which the loop left its model and the next bench file.
+/// The folder of the fitted run, with the model and the next bench file.
 fn first_folder(done: &CommissionDone) -> Result<PathBuf, Failure> {
     let folder = done.result.runs.first().and_then(|run| run.folder.as_ref());
-    let none = || Failure::internal("the loop has left no run folder");
+    let none = || Failure::internal("the commissioning has no run folder");
     folder.map(PathBuf::from).ok_or_else(none)
 }
 
@@ -442,17 +442,21 @@ fn diagnose(done: &CommissionDone, exit: Exit, terminal: &Terminal) -> Result<St
     if exit == Exit::Traces {
         shown.opens = Opens::Traces;
     }
-    let standing = by_hand(discovery, shown, terminal)?;
-    let is_changed = !standing.heading().is_empty() || standing.model().is_some();
-    Ok(if is_changed { answered(&standing) } else { String::new() })
+    let screen_result = by_hand(discovery, shown, terminal)?;
+    let is_changed = !screen_result.heading().is_empty() || screen_result.model().is_some();
+    Ok(if is_changed { answered(&screen_result) } else { String::new() })
 }
 
-fn by_hand(discovery: Discovery, shown: Shown, terminal: &Terminal) -> Result<Standing, Failure> {
+fn by_hand(
+    discovery: Discovery,
+    shown: Shown,
+    terminal: &Terminal,
+) -> Result<ScreenResult, Failure> {
     let closed = by_hand::show(discovery, shown, terminal)?;
     if closed.is_interrupted() {
         return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
     }
-    Ok(closed.standing)
+    Ok(closed.result)
 }
 
 fn shown(title: &str, fitted_on: &Path) -> Shown {
@@ -479,18 +483,20 @@ fn experiment(
     let mut base = bench.clone();
     base.sequence.clone_from(&options.bench.sequence);
     let terminal = options.terminal.clone();
-    let options = RigOptions { bench, ..once_more(options) };
-    let ended = conduct(&terminal, Audience::Leads("on to its diagnosis"), move |controls| {
+    let options = RigOptions { bench, ..options_again(options) };
+    let ended = conduct(&terminal, Audience::FollowedBy("on to its diagnosis"), move |controls| {
         run(options, None, Box::new(Rig::open), controls)
     })?;
     let mut recorded = match ended.work {
-        RunDone::Named(result) => {
+        RunDone::NotFound(result) => {
             let failure = escalation_failure(&result);
-            return Err(failure.unwrap_or_else(|| Failure::internal("no motor, and no reason")));
+            return Err(failure.unwrap_or_else(|| {
+                Failure::internal("no motor was found, and no reason is given")
+            }));
         }
         RunDone::Run(whole) => whole.recorded,
     };
-    goes_on(ended.screen, recorded.failure())?;
+    conclude_run(ended.screen, recorded.failure())?;
     let folder = recorded.folder.path().to_owned();
     let none = || Failure::internal("a recommended run without a diagnosis before it");
     let before = done.discovery.as_ref().ok_or_else(none)?;
@@ -498,21 +504,21 @@ fn experiment(
     let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted, &terminal)?;
     let discovery = before.with_run(scenario);
     let shown = shown("with the recommended run", &folder);
-    let standing = by_hand(discovery.clone(), shown, &terminal)?;
-    let mut result = vec![answered(&standing)];
+    let screen_result = by_hand(discovery.clone(), shown, &terminal)?;
+    let mut result = vec![answered(&screen_result)];
     result.extend(notes);
     result.push(folder.display().to_string());
-    let is_changed = !standing.heading().is_empty();
-    let mut found = standing.diagnosis;
-    // The run is made, whatever becomes of the next one.
+    let is_changed = !screen_result.heading().is_empty();
+    let mut found = screen_result.diagnosis;
+    // The run counts even if no next one can be recommended.
     let with_answer = |found: Option<&Diagnosis>| match found.filter(|_| !is_changed) {
         Some(found) => discovery.clone().with_answer(found.clone()),
         None => discovery.clone(),
     };
     done.discovery = Some(with_answer(found.as_ref()));
     *next_file = None;
-    // It may have been left before the run was recommended.
-    let next = match (standing.next, &found, discovery.limits()) {
+    // The screen may have been left before the run was recommended.
+    let next = match (screen_result.next, &found, discovery.limits()) {
         (Some(next), _, _) => Some(next),
         (None, Some(found), Some(limits)) => {
             let next = recommend(found, discovery.evidence(), limits);
@@ -544,7 +550,7 @@ fn speed_loop(
     source: &(String, String),
 ) -> Result<String, Failure> {
     let request = SpeedRequest {
-        rig: once_more(options),
+        rig: options_again(options),
         source: source.clone(),
         model: Some(first_folder(done)?.join(RunFile::Model.name())),
         controller: None,
@@ -553,13 +559,13 @@ fn speed_loop(
         actuator: None,
     };
     let terminal = &options.terminal;
-    let ended = conduct(terminal, Audience::Leads("back to the loop"), move |controls| {
+    let ended = conduct(terminal, Audience::FollowedBy("back to the steps"), move |controls| {
         speed(request, Box::new(Rig::open), controls)
     })?;
     let recorded = ended.work.recorded;
     let diagnosed = by_hand::go_on(&ended.screen, recorded.folder.path(), terminal);
     // A trip or a lost drive goes before anything that happened in the diagnosis of its record.
-    goes_on(ended.screen, recorded.failure())?;
+    conclude_run(ended.screen, recorded.failure())?;
     diagnosed?;
     let folder = recorded.folder.path().display();
     let last = recorded.summary.speed.as_ref().and_then(|report| report.tracking.last());

@@ -1,6 +1,4 @@
-//! `compare`: the model as given beside the measurement.
-//!
-//! Two models on one run, side by side, with what each of them is.
+//! `compare`: predicted and measured signals of one model, or the errors of two models on the same run.
 
 use std::path::{Path, PathBuf};
 
@@ -43,10 +41,10 @@ pub(super) struct Arguments {
     /// Write the page: figures, lights, where the model fails; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
-    /// See it on the screen: measured and model over time, where the model fails
+    /// Show it on the screen: measured and model over time, where the model fails
     #[arg(long, conflicts_with = "json")]
     screen: bool,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -86,7 +84,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let comparison = compare(model, &prepared.evidence, judged.error_of)?;
     drop(shown);
     if arguments.screen {
-        // Meanwhile the screen owns the terminal and hears the signals.
+        // Meanwhile the screen uses the terminal and handles the signals.
         drop(endable.take());
         view::show(&prepared, judged.error_of, terminal)?;
         endable = Some(terminal.endable()?);
@@ -122,7 +120,7 @@ fn both(
     shown: ProgressLine,
 ) -> Result<(), Failure> {
     if arguments.min_fit.is_some() || arguments.html.is_some() {
-        let headline = "--min-fit and --html judge one model, and two are given";
+        let headline = "--min-fit and --html need one model, and two are given";
         return Err(Failure::usage(headline, "leave one --model out"));
     }
     let judging = Judging::AsGiven;
@@ -141,13 +139,13 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
     }
     let figures = SignalFigures::all(&comparison.signals);
     if figures.is_empty() {
-        let headline = "no signal stands in both runs: there is no fit to judge";
+        let headline = "no signal is in both runs: there is no fit to judge";
         return Err(Failure::new(REFUSED, headline));
     }
-    for own in figures {
-        let found = own.holdout.fit_percent;
+    for figure in figures {
+        let found = figure.holdout.fit_percent;
         if found.is_nan() || found < least {
-            let (name, found) = (own.signal, fit(found));
+            let (name, found) = (figure.signal, fit(found));
             let headline = format!("held-out {name} fit {found} is below {least} %");
             return Err(Failure::new(REFUSED, headline));
         }
@@ -171,7 +169,7 @@ struct ModelOf {
 }
 
 impl VersusResult {
-    /// The prepared model and another, as they are, on the same hold-out.
+    /// The prepared model and another, both without a refit, on the same hold-out.
     pub(crate) fn of(
         prepared: &Prepared,
         second: &Path,
@@ -212,8 +210,10 @@ impl VersusResult {
             document.say(name, [format!("{}: {effects}", model.file)], 1);
         }
         let signals = &self.found.signals;
-        let error = |place: usize| {
-            move |own: &&SignalVersus| format!("{} {}", significant(own.rmse[place], 3), own.unit)
+        let error = |model: usize| {
+            move |signal: &&SignalVersus| {
+                format!("{} {}", significant(signal.rmse[model], 3), signal.unit)
+            }
         };
         let table = Table::of(signals)
             .column("signal", |own| own.signal)

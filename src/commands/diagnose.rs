@@ -6,7 +6,7 @@ use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_p
 use crate::commands::by_hand;
 use crate::commands::by_hand::Shown;
 use crate::commands::evidence::Judging;
-use crate::commands::evidence::Place;
+use crate::commands::evidence::RecommendationBench;
 use crate::commands::{pages, view};
 use crate::report::Document;
 use crate::report::wording::json;
@@ -18,22 +18,22 @@ use crate::workflow::Discovery;
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
 use drivebench_model::plant::effect::Axis;
 
-/// Name the physical effect that a model is missing, judged on data the fit has not seen
+/// Name the physical effect that a model is missing, judged on data that the fit has not used
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench diagnose runs/a --model model.toml --holdout runs/b
   drivebench diagnose runs/a --holdout runs/b --html page.html     the same with every picture
-  drivebench diagnose runs/a --next-bench next.toml     and, where two effects are not told apart, the run that would:
+  drivebench diagnose runs/a --next-bench next.toml     and the run that separates effects that look alike:
   drivebench run next.toml && drivebench diagnose runs/a --with runs/NEW
   drivebench diagnose runs/a --holdout runs/b --screen     see where it fails, add the effect with one key
 
 Answers:
   EFFECT FOUND    these effects lower the held-out error; NOT SUFFICIENT where more than noise is left
-  AMBIGUOUS       several effects explain the runs alike
-  NOTHING FOUND   no effect of the catalogue pays on the hold-out
+  AMBIGUOUS       several effects explain the runs equally well
+  NOTHING FOUND   no effect of the catalogue lowers the held-out error
   UNEXPLAINED     something is missing, and no effect of the catalogue explains it
   NOT FITTED      the model predicts the hold-out no better than its mean, its last value or a first-order lag:
-                  nothing is named; `identify --full` has what the run carries of each parameter")]
+                  nothing is named; `identify --full` shows how well the run determines each parameter")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
@@ -43,7 +43,7 @@ pub(super) struct Arguments {
     /// Model file; without it the run folder's, else a fitted baseline
     #[arg(long)]
     model: Option<PathBuf>,
-    /// Name every effect that the runs ask for; so it is without this, too, which scripts may go on giving
+    /// Name every effect that the runs need: the default, this option has no effect and is kept for scripts
     #[arg(long)]
     until_floor: bool,
     #[command(flatten)]
@@ -51,7 +51,7 @@ pub(super) struct Arguments {
     #[command(flatten)]
     on_screen: ScreenArguments,
     /// Bench whose drive, motor and limits the recommended next run keeps; without it that of the run folder, else
-    /// nothing beyond what the runs have reached
+    /// the ranges that the runs have reached
     #[arg(long, value_name = "BENCH.toml")]
     bench: Option<PathBuf>,
     /// Write the bench file of the recommended next run
@@ -60,7 +60,7 @@ pub(super) struct Arguments {
     /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -97,13 +97,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(path) = &arguments.next_bench {
         output::refuse_existing(path, "--next-bench")?;
     }
-    let place = Place::of(arguments.bench.as_deref(), &prepared, terminal)?;
+    let target = RecommendationBench::of(arguments.bench.as_deref(), &prepared, terminal)?;
     let original = prepared.model.file.model.clone();
     let evidence = prepared.evidence.clone();
     let (mut by_hand, mut written) = (String::new(), None);
     let mut known_next = None;
     let mut diagnosis = if on_screen.screen {
-        // From here on the screen owns the terminal and hears the signals.
+        // From here on the screen uses the terminal and handles the signals.
         drop(attended.take());
         let shown = Shown {
             title: prepared.about.title.clone(),
@@ -114,31 +114,31 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
             output: on_screen.output.clone(),
         };
         let discovery = Discovery::new(original, evidence)
-            .with_limits(place.limits())
+            .with_limits(target.limits())
             .with_recorded(prepared.recorded.clone());
-        let left = by_hand::show(discovery, shown, terminal)?;
+        let closed = by_hand::show(discovery, shown, terminal)?;
         attended = Some((terminal.endable()?, terminal.progress("diagnose")));
-        // Asked only now: from here on a signal ends the program by itself.
-        if left.is_interrupted() {
+        // Checked only now: from here on a signal ends the program.
+        if closed.is_interrupted() {
             return Err(Failure::interrupted("interrupted"));
         }
-        by_hand = left.standing.heading();
-        written = left.standing.model().map(str::to_owned);
-        known_next = left.standing.next;
-        let no_answer = || Failure::interrupted("left before there was an answer");
-        left.standing.diagnosis.ok_or_else(no_answer)?
+        by_hand = closed.result.heading();
+        written = closed.result.model().map(str::to_owned);
+        known_next = closed.result.next;
+        let no_answer = || Failure::interrupted("left before the diagnosis was done");
+        closed.result.diagnosis.ok_or_else(no_answer)?
     } else {
         diagnose_with(&original, evidence, &|event| terminal.diagnosis(event))?
     };
     if let Some(next) = known_next {
-        place.take_over(&mut diagnosis, next);
+        target.take_over(&mut diagnosis, next);
     } else {
-        terminal.stage("looks for the run that would tell more", 0);
-        place.recommend(&mut diagnosis, &prepared)?;
+        terminal.stage("designs the next run", 0);
+        target.recommend(&mut diagnosis, &prepared)?;
     }
     let _endable = attended.map(|(endable, _)| endable);
     if let Some(path) = &arguments.next_bench {
-        place.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
+        target.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
     }
     let mut document = pages::diagnosis(&prepared, &diagnosis)?;
     if let Some(path) = &arguments.html {
@@ -177,7 +177,7 @@ fn bench_words(arguments: &Arguments) -> String {
     bench.map_or_else(String::new, |bench| format!(" --bench {bench}"))
 }
 
-/// The commands that go on from here: add what was found, or make the run that would tell more.
+/// The next commands: add the effect that was found, or make the recommended run.
 fn go_on(
     document: &mut Document,
     arguments: &Arguments,

@@ -86,7 +86,7 @@ const fn enters(enters: Enters) -> &'static str {
     }
 }
 
-/// Longest line: a terminal beside another one.
+/// Longest line, in columns.
 const WIDTH: usize = 96;
 
 /// `text` under `title`, whose column is `room` wide, broken between words.
@@ -116,17 +116,14 @@ fn card_document((card, parameters): Entry) -> Document {
         Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
         Enters::Torque => "the torque balance, subtracted from the torque of the motor",
         Enters::Both if effect::family(card.id).is_some() => {
-            "the voltage or the torque balance, as its settings say"
+            "the voltage or the torque balance, by its settings"
         }
         Enters::Both => "the voltage and the torque balance",
-        Enters::Path => {
-            "neither balance: it lies between what is commanded or measured and the motor"
-        }
+        Enters::Path => "neither balance: it is in the path of the command or of the measurement",
     };
     document.labelled("enters", [enters]);
     card_facts(&mut document, card);
-    let angle =
-        "needed: as measured, else the speed is integrated, which starts anywhere and drifts";
+    let angle = "needed: as measured, else integrated from the speed, with unknown start and drift";
     document.labelled("angle", card.needs_angle.then_some(angle));
     document.labelled("parameter", parameters.iter().map(parameter_text));
     document

@@ -46,8 +46,8 @@ pub(super) struct Arguments {
     /// The watchdog time of another drive, as set at its keypad, ms; 0 is off; without it as delivered
     #[arg(long, value_name = "MS")]
     watchdog_ms: Option<f64>,
-    /// Write what the motor does into a new CSV file, by the drive's own truth: a row at each change and every 10 ms, in the
-    /// monotonic time of this machine
+    /// Write the true state of the emulated motor into a new CSV file: a row at each change and every 10 ms, in the monotonic
+    /// time of this machine
     #[arg(long, value_name = "FILE")]
     journal: Option<PathBuf>,
     /// Print JSON: one object a line, `ready` when the drive can be opened and `stopped` at the end

@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use crate::commands::run::{RunDone, run};
 use crate::runtime::controls::{Controls, DrivePower};
-use crate::runtime::ending::{Ended, ScreenEnd, Watched, alone, beside_screen, watched};
+use crate::runtime::ending::{Ended, ScreenEnd, ScreenReturn, alone, watched, with_screen};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use crate::runtime::files::Recorded;
 use crate::runtime::output::Terminal;
@@ -32,16 +32,16 @@ steps = { levels_v = [40.0, 0.0], hold_s = 1.0 }
 /// Called once while the motor is at speed, before an exchange.
 type Hook = Box<dyn FnMut() + Send>;
 
-/// The drive in memory, with a list of its demands and an event while its motor turns.
-struct Witness {
+/// The drive in memory, with a record of the demands and a hook that runs once while its motor turns.
+struct RecordingLink {
     drive: Arc<Mutex<MemoryLink>>,
     demands: Arc<Mutex<Vec<Demand>>>,
     at_speed: Option<Hook>,
-    /// Exchanges at speed that are left before it happens.
+    /// Remaining exchanges at speed before the hook.
     before: u32,
 }
 
-impl DriveLink for Witness {
+impl DriveLink for RecordingLink {
     fn name(&self) -> LinkName {
         self.drive.lock().unwrap().name()
     }
@@ -78,14 +78,14 @@ impl DriveLink for Witness {
 }
 
 /// A bench in virtual time with a drive whose final state is read.
-struct Lab {
+struct VirtualBench {
     out: tempfile::TempDir,
     drive: Arc<Mutex<MemoryLink>>,
     demands: Arc<Mutex<Vec<Demand>>>,
     clock: VirtualClock,
 }
 
-impl Lab {
+impl VirtualBench {
     fn new() -> Self {
         let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
         let clock = VirtualClock::new();
@@ -123,14 +123,14 @@ impl Lab {
         }
     }
 
-    /// A rig over the drive, to which nothing happens.
+    /// A rig over the drive, with an empty hook.
     fn rig(&self) -> Rig {
         let open = self.opener(|| ());
         open(self.options(), None, Purpose::Voltages).unwrap()
     }
 
     fn opener(&self, hook: impl FnMut() + Send + 'static) -> OpenRig {
-        let link = Witness {
+        let link = RecordingLink {
             drive: Arc::clone(&self.drive),
             demands: Arc::clone(&self.demands),
             at_speed: Some(Box::new(hook)),
@@ -172,55 +172,55 @@ fn headless<T>(work: impl FnOnce(&Controls) -> Result<T, Failure>) -> Result<T, 
 fn recorded(done: Result<RunDone, Failure>) -> Recorded {
     match done {
         Ok(RunDone::Run(whole)) => whole.recorded,
-        Ok(RunDone::Named(ending)) => panic!("{ending:?}"),
+        Ok(RunDone::NotFound(ending)) => panic!("{ending:?}"),
         Err(failure) => panic!("{failure:?}"),
     }
 }
 
 #[test]
 fn a_bench_that_panics_stops_its_drive_with_status_6() {
-    let lab = Lab::new();
-    let work = lab.work(|| panic!("on purpose"));
+    let bench = VirtualBench::new();
+    let work = bench.work(|| panic!("on purpose"));
     let failure = headless(work).map(|_| ()).unwrap_err();
     assert_eq!(failure.status, INTERNAL);
     let headline = failure.headline();
     assert!(headline.contains("(on purpose)"), "{headline}");
-    assert!(headline.contains("the drive has taken its stop"), "{headline}");
-    lab.expect_stopped();
+    assert!(headline.contains("the drive has confirmed its stop"), "{headline}");
+    bench.expect_stopped();
 }
 
 #[test]
 fn a_bench_that_panics_in_its_checks_stops_its_drive_too() {
-    let lab = Lab::new();
+    let bench = VirtualBench::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
-    let mut rig = lab.rig();
+    let mut rig = bench.rig();
     rig.energises(&controls, 0.0);
     let unwound = catch_unwind(AssertUnwindSafe(move || {
         let command = Command { seq: 1, demand: Demand::Voltage(5.0) };
-        rig.way.link.exchange(command).unwrap();
+        rig.connection.link.exchange(command).unwrap();
         panic!("on purpose");
     }));
     assert!(unwound.is_err());
     assert_eq!(controls.drive.get(), DrivePower::Panicked(Ok(())));
-    lab.expect_stopped();
+    bench.expect_stopped();
 }
 
 /// The screen panics, or fails, while the motor turns; the drive is ramped down, and only then the run is over.
 fn left_at_speed(
     show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
-) -> (Lab, Result<Ended<RunDone>, Failure>) {
-    let lab = Lab::new();
+) -> (VirtualBench, Result<Ended<RunDone>, Failure>) {
+    let bench = VirtualBench::new();
     let (at_speed, is_at_speed) = channel();
     let (controls, ends) = Controls::new(SnapshotCell::default());
     let interrupted = Arc::clone(&controls.interrupted);
-    let work = lab.work(move || {
+    let work = bench.work(move || {
         at_speed.send(()).unwrap();
         // Virtual time stands until the screen is gone.
         while !interrupted.load(Ordering::Acquire) {
             thread::yield_now();
         }
     });
-    let ended = beside_screen(
+    let ended = with_screen(
         &Terminal::default(),
         controls,
         &ends,
@@ -231,13 +231,13 @@ fn left_at_speed(
         },
         work,
     );
-    (lab, ended)
+    (bench, ended)
 }
 
 /// The record of a run that was ended so, and the status of the command.
 #[track_caller]
-fn interrupted(lab: &Lab, ended: Result<Ended<RunDone>, Failure>) -> Failure {
-    lab.expect_stopped();
+fn interrupted(bench: &VirtualBench, ended: Result<Ended<RunDone>, Failure>) -> Failure {
+    bench.expect_stopped();
     let ended = ended.unwrap_or_else(|failure| panic!("{failure:?}"));
     let recorded = recorded(Ok(ended.work));
     assert_eq!(recorded.summary.outcome, Outcome::Interrupted);
@@ -246,13 +246,13 @@ fn interrupted(lab: &Lab, ended: Result<Ended<RunDone>, Failure>) -> Failure {
 
 #[test]
 fn a_screen_that_panics_ends_the_run_with_status_6() {
-    let (lab, ended) = left_at_speed(|| panic!("on purpose"));
-    let failure = interrupted(&lab, ended);
+    let (bench, ended) = left_at_speed(|| panic!("on purpose"));
+    let failure = interrupted(&bench, ended);
     assert_eq!(failure.status, INTERNAL);
     let headline = failure.headline();
     assert!(headline.contains("screen has panicked (on purpose)"), "{headline}");
     // Down a ramp: a second request would switch off at once.
-    let demands = lab.demands.lock().unwrap();
+    let demands = bench.demands.lock().unwrap();
     let volts = |demand: &Demand| match demand {
         Demand::Voltage(volts) => *volts,
         _ => 0.0,
@@ -265,8 +265,8 @@ fn a_screen_that_panics_ends_the_run_with_status_6() {
 
 #[test]
 fn a_terminal_that_is_gone_ends_the_run_with_status_130() {
-    let (lab, ended) = left_at_speed(|| Err(io::Error::from_raw_os_error(5)));
-    assert_eq!(interrupted(&lab, ended).status, INTERRUPTED);
+    let (bench, ended) = left_at_speed(|| Err(io::Error::from_raw_os_error(5)));
+    assert_eq!(interrupted(&bench, ended).status, INTERRUPTED);
 }
 
 /// As one that reads keys from a terminal that is just being closed: the work is over, and the screen is not.
@@ -278,7 +278,7 @@ fn a_screen_that_does_not_return_is_abandoned() {
         }
     };
     let shown = watched(stuck, || (), || true);
-    assert!(matches!(shown, Ok(Watched::Failed(_))));
+    assert!(matches!(shown, Ok(ScreenReturn::Failed(_))));
 }
 
 #[test]
@@ -309,12 +309,12 @@ fn the_end_of_a_run_goes_before_that_of_its_screen() {
 
 #[test]
 fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
-    let lab = Lab::new();
-    let clock = lab.clock.clone();
-    let demands = Arc::clone(&lab.demands);
+    let bench = VirtualBench::new();
+    let clock = bench.clock.clone();
+    let demands = Arc::clone(&bench.demands);
     let before = Arc::new(Mutex::new(0));
     let mark = Arc::clone(&before);
-    let done = headless(lab.work(move || {
+    let done = headless(bench.work(move || {
         clock.suspend_s(30.0);
         *mark.lock().unwrap() = demands.lock().unwrap().len();
     }));
@@ -323,8 +323,8 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
     assert_eq!(failure.status, LINK);
     let headline = failure.headline();
     assert!(headline.contains("this computer was suspended for 30.0 s"), "{headline}");
-    // The command that was on its way, then nothing but stop.
-    let demands = lab.demands.lock().unwrap();
+    // The command that was being sent, then only stops.
+    let demands = bench.demands.lock().unwrap();
     let after = &demands[*before.lock().unwrap() + 1..];
     assert!(!after.is_empty() && after.iter().all(|demand| *demand == Demand::Stop), "{after:?}");
     let notices = format!("{:?}", recorded.summary.notices);
@@ -349,9 +349,9 @@ fn expect_whole(folder: &Path, rows: u64) {
 
 #[test]
 fn the_record_of_a_deleted_folder_is_made_again() {
-    let lab = Lab::new();
-    let runs = lab.runs();
-    let done = headless(lab.work(move || {
+    let bench = VirtualBench::new();
+    let runs = bench.runs();
+    let done = headless(bench.work(move || {
         // At once: while it is emptied file by file, the recorder makes it again.
         let gone = runs.with_extension("gone");
         std::fs::rename(&runs, &gone).unwrap();
@@ -367,15 +367,15 @@ fn the_record_of_a_deleted_folder_is_made_again() {
 }
 
 #[test]
-fn a_later_run_goes_on_without_a_disk() {
-    let lab = Lab::new();
+fn a_later_run_finishes_without_a_disk() {
+    let bench = VirtualBench::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
-    let mut rig = lab.rig();
+    let mut rig = bench.rig();
     rig.check(&controls).unwrap();
     let first = rig.record("one", 1, &controls).unwrap();
     assert!(first.failure().is_none());
-    std::fs::remove_dir_all(lab.runs()).unwrap();
-    std::fs::write(lab.runs(), "a file stands in the way").unwrap();
+    std::fs::remove_dir_all(bench.runs()).unwrap();
+    std::fs::write(bench.runs(), "a file stands in the way").unwrap();
     let mut second = rig.record("two", 2, &controls).unwrap();
     assert_eq!(second.summary.outcome, Outcome::Done);
     assert!(second.run_failure().is_none());
@@ -386,7 +386,7 @@ fn a_later_run_goes_on_without_a_disk() {
     let loaded = second.load().unwrap();
     assert_eq!(loaded.run.rows() as u64, second.summary.rows);
     assert!(loaded.run.rows() > 100);
-    // The first is gone as well since then.
+    // The folder of the first run is deleted too.
     assert_eq!(first.load().unwrap().run.rows() as u64, first.summary.rows);
     second.forget();
     assert!(second.load().is_err());

@@ -1,5 +1,5 @@
-//! Runs and models that a command judges: read, checked against what cannot be true, and against each other; and the run
-//! that is recommended next: whose limits it keeps, and its bench file.
+//! Runs and models that a command judges: read, checked for implausible data and against each other; and the bench, limits
+//! and bench file of the recommended next run.
 //!
 //! ```text
 //! run, model, hold-out, confirming run --> sanity of the data --> can the others judge it? --> Evidence, notes, cautions
@@ -32,16 +32,10 @@ use drivebench_model::numerics::statistics::median;
 use drivebench_model::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
 use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
 
-/// Shortest hold-out, as a share of the run that is fitted, and fewest samples of it: the blocks by which errors are compared.
-const SHORTEST_SHARE: f64 = 0.1;
+/// Fewest samples of a hold-out: its errors are compared by blocks.
 const FEWEST_HELD_OUT: usize = 20;
 /// Share of a hold-out's samples that may be those of the fitted run.
 const MOST_SHARED: f64 = 0.5;
-/// One sample of so many without a value is worth a word.
-const MANY_MISSING: usize = 10;
-/// A time without rows that is worth a word: so many mean periods, and so many seconds.
-const LONG_GAP: f64 = 50.0;
-const LONG_GAP_S: f64 = 0.2;
 
 /// The files that a command names.
 #[derive(Clone, Copy)]
@@ -52,20 +46,20 @@ pub(crate) struct EvidenceFiles<'a> {
     pub(crate) model: Option<&'a Path>,
     pub(crate) holdout: Option<&'a Path>,
     pub(crate) confirm: Option<&'a Path>,
-    /// Later runs of the same machine, fitted behind the first.
+    /// Later runs of the same machine, fitted together with the first.
     pub(crate) later: &'a [PathBuf],
-    /// Every channel is kept beside what the model needs.
+    /// Whether every channel is kept, not only those that the model needs.
     pub(crate) for_screen: bool,
 }
 
-/// What a command that judges a model does with it.
+/// How a command uses the model that it judges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Judging {
     /// Compares the model as given.
     AsGiven,
-    /// Refits the given model: a record that excites nothing still has the verdict that nothing can be said.
+    /// Refits the given model; a record without excitation is accepted, for a diagnosis without a finding.
     Refits,
-    /// Has no model but the one that it fits to the data.
+    /// Fits the baseline to the data first.
     FitsFirst,
 }
 
@@ -76,7 +70,7 @@ impl Judging {
     }
 }
 
-/// A model with the place it came from.
+/// A model and its origin.
 pub(crate) struct ChosenModel {
     pub(crate) file: ModelFile,
     pub(crate) from: String,
@@ -84,7 +78,7 @@ pub(crate) struct ChosenModel {
     pub(crate) is_baseline: bool,
 }
 
-/// What asks for the baseline where the run folder has a model, unless a file is called so.
+/// Value of --model that selects the baseline even where the run folder has a model, unless a file has this name.
 pub(crate) const BASELINE: &str = "baseline";
 
 /// The model file, else the run folder's, else the five-parameter baseline with values yet to be found.
@@ -93,12 +87,12 @@ pub(crate) fn model(
     run: &LoadedRun,
     terminal: &Terminal,
 ) -> Result<ChosenModel, Failure> {
-    let is_asked = path.is_some_and(|path| path == Path::new(BASELINE) && !path.exists());
+    let is_requested = path.is_some_and(|path| path == Path::new(BASELINE) && !path.exists());
     let in_folder = run.folder.as_ref().map(|folder| folder.join("model.toml"));
     let in_folder = in_folder.filter(|file| file.exists());
     let path = path.map(Path::to_owned).or(in_folder);
-    let Some(path) = path.filter(|_| !is_asked) else {
-        let given = if is_asked { "" } else { "no model given: " };
+    let Some(path) = path.filter(|_| !is_requested) else {
+        let given = if is_requested { "" } else { "no model given: " };
         terminal.message(&format!("{given}the five-parameter baseline is fitted to the run first"));
         let file =
             ModelFile { model: Model::baseline(Motor::new("fitted")), ..ModelFile::default() };
@@ -111,13 +105,13 @@ pub(crate) fn model(
     })
 }
 
-/// What a screen or a page calls the data: runs that were set aside are not among them.
+/// Names of the data for a screen or a page, without runs that were set aside.
 pub(crate) struct About {
     /// The fitted run and what is held out, by the last part of their names.
     pub(crate) title: String,
     /// The runs that are used, the one that is fitted first.
     pub(crate) runs: Vec<PathBuf>,
-    /// Whether something speaks against the hold-out that is used all the same.
+    /// Whether the hold-out is used despite an objection.
     pub(crate) holdout_objected: bool,
 }
 
@@ -140,8 +134,8 @@ pub(crate) struct Prepared {
 }
 
 impl Prepared {
-    /// Makes the model the one that is judged. What was given is judged as it is; what the folder of a run keeps is not
-    /// given, and is refitted as `diagnose` refits it; without either the baseline is fitted. Its origin says which.
+    /// Prepares the model that is judged: a file that was named is not refitted; the model of a run folder is refitted as by
+    /// `diagnose`; without either the baseline is fitted. `from` then states which.
     pub(crate) fn judge_as_diagnose(
         &mut self,
         is_given: bool,
@@ -161,7 +155,7 @@ impl Prepared {
             (self.evidence, self.model.file.model) =
                 fitted_baseline(&self.model.file.model, evidence)?;
         }
-        // A balance of torques is judged without the inertia that a run does not show.
+        // A torque balance is judged even without an inertia, if the run cannot identify it.
         if !refitted || is_electrical {
             self.model.file.model.require_complete()?;
         }
@@ -169,9 +163,9 @@ impl Prepared {
         self.model.from = match (is_baseline, refitted) {
             (true, _) => "the five-parameter baseline, fitted to this run".to_owned(),
             (_, true) => format!(
-                "{from}, refitted to this run as diagnose does; --model judges a file as it is"
+                "{from}, refitted to this run, as in diagnose; a file named with --model is not refitted"
             ),
-            (_, false) => format!("{from}, as it is"),
+            (_, false) => format!("{from}, not refitted"),
         };
         Ok(Judged {
             refitted,
@@ -179,7 +173,7 @@ impl Prepared {
         })
     }
 
-    /// A result as JSON, with what is to be known of the data.
+    /// A result as JSON, with the notes on the data.
     pub(crate) fn result(&self, found: &impl Serialize) -> Value {
         let mut value = serde_json::to_value(found).unwrap_or_default();
         value["rows_dropped"] = self.run.run.rows_dropped.into();
@@ -189,7 +183,7 @@ impl Prepared {
 }
 
 impl About {
-    /// Of the run that is fitted with those behind it, and of those that are held out and confirm.
+    /// Names of the fitted run and the later ones, of the hold-out and of the confirming run.
     fn of(
         run: &Path,
         later: &[&PathBuf],
@@ -217,8 +211,8 @@ impl About {
     }
 }
 
-/// Opens what the command names, the fitted run first (`load` is told whether it is another); data that it cannot judge
-/// end it.
+/// Opens the runs of a command, the fitted one first (the flag of `load` is set for the others); fails where the data cannot
+/// be judged.
 pub(crate) fn prepare(
     files: EvidenceFiles<'_>,
     load: impl Fn(&Path, bool) -> Result<LoadedRun, Failure>,
@@ -275,21 +269,22 @@ pub(crate) fn prepare(
     let instead = "the last part of the run is held out instead";
     let (holdout, mut objected) = judge.admit("hold-out", holdout, instead, notes);
     let (confirm, _) = judge.admit("confirming run", confirm, "nothing is confirmed", notes);
-    let confirm = confirm.filter(|confirm| had_no_part(confirm, holdout.as_ref(), notes, terminal));
+    let confirm =
+        confirm.filter(|confirm| is_independent(confirm, holdout.as_ref(), notes, terminal));
     let judge = Judge { refuses_others: false, ..judge };
     let judging_runs = [("hold-out", &holdout), ("confirming run", &confirm)];
-    let behind = judge.admit_behind(files.later, later, judging_runs, notes);
+    let admitted = judge.admit_all_later(files.later, later, judging_runs, notes);
     let by_voltage = fit_run.input == Input::Voltage;
-    if let Some((path, _)) = behind.first().filter(|_| !by_voltage) {
+    if let Some((path, _)) = admitted.first().filter(|_| !by_voltage) {
         let headline = format!(
-            "--with {}: the run that is fitted is not driven by a voltage, and nothing is put behind it",
+            "--with {}: the fitted run is not driven by a voltage, and no other run can be fitted together with it",
             path.display()
         );
         return Err(Failure::usage(headline, "leave --with out"));
     }
-    let (later, behind): (Vec<&PathBuf>, Vec<Scenario>) = behind.into_iter().unzip();
+    let (later, admitted): (Vec<&PathBuf>, Vec<Scenario>) = admitted.into_iter().unzip();
     let evidence = Evidence::new(fit_run, holdout, confirm);
-    let evidence = behind.into_iter().fold(evidence, Evidence::with_run);
+    let evidence = admitted.into_iter().fold(evidence, Evidence::with_run);
     let is_run = evidence.holdout_from == HoldoutFrom::Run;
     let holdout = files.holdout.filter(|_| is_run);
     if judging == Judging::AsGiven {
@@ -306,30 +301,30 @@ pub(crate) fn prepare(
     Ok(Prepared { run, model, evidence, about, recorded })
 }
 
-/// Names the column that serves as the voltage, where it is not the only one or not the first choice.
+/// Names the column that is used as the voltage, where it is not the only one or not the first choice.
 pub(crate) fn name_voltage(run: &Run, scenario: &Scenario, terminal: &Terminal) {
     match scenario.input_channel {
-        Channel::VoltageCmd => terminal.message("voltage_cmd_v serves as the voltage"),
+        Channel::VoltageCmd => terminal.message("voltage_cmd_v is used as the voltage"),
         Channel::Voltage if run.column(Channel::VoltageCmd).is_some() => {
-            terminal.message("voltage_v serves as the voltage, not the voltage_cmd_v beside it");
+            terminal.message("voltage_v is used as the voltage, not voltage_cmd_v");
         }
         _ => {}
     }
 }
 
-/// How often the command was not what the motor had.
+/// In how many samples the command was not the voltage of the motor.
 fn limited_note(run: &Run) -> Option<String> {
     let limited = run.limited_rows().len();
     let instead = if run.points(Channel::Voltage).count() == 0 {
-        "what the motor had was not measured: smaller steps would leave the command in force"
+        "the voltage of the motor was not measured: smaller steps avoid the limit"
     } else {
-        "there the measured voltage serves"
+        "there the measured voltage is used"
     };
     (limited > 0)
-        .then(|| format!("a limit of the drive held its output at {limited} samples; {instead}"))
+        .then(|| format!("a limit of the drive was active at {limited} samples; {instead}"))
 }
 
-/// What a run that was made after others is worth beside them, before it is put behind them: it, and what is to be said of it.
+/// Checks a later run before it is fitted together with earlier ones; returns its scenario and notes.
 ///
 /// # Errors
 /// Why nothing can be judged by it.
@@ -351,8 +346,8 @@ pub(crate) fn admit_later(
     };
     match judge.objection_to_later(&loaded.run, &scenario, std::iter::empty()) {
         Some((reason, true)) => {
-            let headline = format!("the run that was made is not judged: {reason}");
-            return Err(Failure::usage(headline, "mend that, and make the run again"));
+            let headline = format!("the new run cannot be used: {reason}");
+            return Err(Failure::usage(headline, "correct this, and make the run again"));
         }
         Some((reason, false)) => notes.push(reason),
         None => {}
@@ -367,15 +362,14 @@ struct Judge<'a> {
     fitted: &'a Scenario,
     judging: Judging,
     fingerprint: OnceCell<Option<Fingerprint>>,
-    /// Whether one whose motor seems another is set aside. A run that was made to show what is missing may seem so because
-    /// of that: a voltage that is off by a volt is much in a run of ten. There it is said.
+    /// Whether a run that seems to be of another motor is set aside. A run that was recommended to show a missing effect may
+    /// seem so because of that effect (an error of 1 V is large in a run of 10 V), and gets a note only.
     refuses_others: bool,
 }
 
 impl Judge<'_> {
-    /// `other` where it can serve as what `role` says, and whether something speaks against it. Where it cannot, the reason
-    /// goes to stderr and to `notes`, and a command that fits goes on without it; one that compares a model as given
-    /// compares all the same.
+    /// `other` where it can be used in this role, and whether there is an objection. Where it cannot, the reason goes to stderr
+    /// and to `notes`, and a command that fits continues without it; one that compares a model as given compares nevertheless.
     fn admit(
         &self,
         role: &str,
@@ -402,22 +396,22 @@ impl Judge<'_> {
         ((!sets_aside).then_some(scenario), true)
     }
 
-    /// Those of the runs of these files that can be fitted behind the first; `judging_runs` judge the fit.
-    fn admit_behind<'p>(
+    /// Those of the runs of these files that can be fitted together with the first; `judging_runs` judge the fit.
+    fn admit_all_later<'p>(
         &self,
         files: &'p [PathBuf],
         later: Vec<Option<(LoadedRun, Scenario)>>,
         judging_runs: [(&'static str, &Option<Scenario>); 2],
         notes: &mut Vec<String>,
     ) -> Vec<(&'p PathBuf, Scenario)> {
-        let mut behind: Vec<(&PathBuf, Scenario)> = Vec::new();
+        let mut admitted: Vec<(&PathBuf, Scenario)> = Vec::new();
         for (path, later) in files.iter().zip(later) {
             let Some((loaded, later)) = later else {
                 continue;
             };
             let others = judging_runs.into_iter();
             let others = others.filter_map(|(role, run)| Some((role, run.as_ref()?)));
-            let earlier = behind.iter().map(|(_, run)| ("later run before it", run));
+            let earlier = admitted.iter().map(|(_, run)| ("later run before it", run));
             let objection = self.objection_to_later(&loaded.run, &later, others.chain(earlier));
             let forbids = objection.as_ref().is_some_and(|(_, forbids)| *forbids);
             if let Some((reason, _)) = objection {
@@ -427,13 +421,14 @@ impl Judge<'_> {
                 note(notes, text, self.terminal);
             }
             if !forbids {
-                behind.push((path, later));
+                admitted.push((path, later));
             }
         }
-        behind
+        admitted
     }
 
-    /// What speaks against a run that is to be fitted behind the first, beside `others`; and whether that forbids it.
+    /// The objection to a run that is to be fitted together with the first, also compared with `others`; and whether it forbids
+    /// the run.
     fn objection_to_later<'s>(
         &self,
         run: &Run,
@@ -443,7 +438,7 @@ impl Judge<'_> {
         let [own, fitted] = [scenario.input, self.fitted.input].map(driven_by);
         if scenario.input != self.fitted.input {
             let other = format!(
-                "it is driven by a {own} and the run that is fitted by a {fitted}, so that the two are no one record"
+                "it is driven by a {own} and the fitted run by a {fitted}: they cannot be fitted together"
             );
             return Some((other, true));
         }
@@ -454,7 +449,7 @@ impl Judge<'_> {
         for (role, other) in others {
             if is_same(other) {
                 let same = format!(
-                    "its samples are those of the {role}: what is fitted twice counts twice, and what is fitted judges nothing"
+                    "its samples are those of the {role}: data must not be fitted twice, nor judge their own fit"
                 );
                 return Some((same, true));
             }
@@ -462,14 +457,14 @@ impl Judge<'_> {
         self.objection(run, scenario)
     }
 
-    /// What speaks against it, and whether nothing can be judged by it.
+    /// The objection to a run, and whether it forbids to judge by the run.
     fn objection(&self, run: &Run, scenario: &Scenario) -> Option<(String, bool)> {
         if shared_samples(self.fitted, scenario) > MOST_SHARED {
             let same = "its samples are those of the run that is fitted, so that it tests nothing";
             return Some((same.to_owned(), true));
         }
         let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.sample_time_s[0];
-        let (own_s, least_s) = (length_s(scenario), SHORTEST_SHARE * length_s(self.fitted));
+        let (own_s, least_s) = (length_s(scenario), 0.1 * length_s(self.fitted));
         let samples = scenario.samples();
         if own_s < least_s || samples < FEWEST_HELD_OUT {
             let short = format!(
@@ -487,8 +482,8 @@ impl Judge<'_> {
             return Some((format!("{}{help}", finding.sentence), true));
         }
         let (model, fitted) = (self.model, self.fitted);
-        let here = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
-        let found = matches(here?, fingerprint(model, scenario)?);
+        let of_fitted = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
+        let found = matches(of_fitted?, fingerprint(model, scenario)?);
         let is_other = found.kinship == Kinship::Other && self.refuses_others;
         (found.kinship != Kinship::Same).then(|| (motor_match(&found), is_other))
     }
@@ -508,7 +503,7 @@ fn note(notes: &mut Vec<String>, sentence: String, terminal: &Terminal) {
     notes.push(sentence);
 }
 
-/// Says that a model is judged by what it was fitted on, as far as its file tells: `holdout`, or the last part of `run`.
+/// Warning that a model is judged on data to which it was fitted according to its file: `holdout`, or the last part of `run`.
 pub(crate) fn was_fitted_on(
     fitted_on: &[String],
     run: &Path,
@@ -530,7 +525,7 @@ pub(crate) fn was_fitted_on(
     })
 }
 
-/// Whether two paths are of one run; a folder that is no longer there is known by its name.
+/// Whether two paths are of one run; a folder that does not exist any more is compared by name.
 fn is_same(recorded: &Path, path: &Path) -> bool {
     let folder = |path: &Path| {
         let is_samples = path.file_name().is_some_and(|name| name == "samples.csv");
@@ -543,8 +538,9 @@ fn is_same(recorded: &Path, path: &Path) -> bool {
     }
 }
 
-/// Whether a confirming run is another than the hold-out, which selected; else the reason goes to stderr and to `notes`.
-fn had_no_part(
+/// Whether the confirming run is not the hold-out, by which effects are selected; else the reason goes to stderr and to
+/// `notes`.
+fn is_independent(
     confirm: &Scenario,
     holdout: Option<&Scenario>,
     notes: &mut Vec<String>,
@@ -552,13 +548,13 @@ fn had_no_part(
 ) -> bool {
     let shared = holdout.map_or(0.0, |holdout| shared_samples(holdout, confirm));
     if shared > MOST_SHARED {
-        let sentence = "confirming run: its samples are those of the hold-out, which selected; it is not used, nothing is confirmed";
+        let sentence = "confirming run: its samples are those of the hold-out, by which effects are selected; it is not used, nothing is confirmed";
         note(notes, sentence.to_owned(), terminal);
     }
     shared <= MOST_SHARED
 }
 
-/// What a run does not say by itself: rows without a voltage, signals without values, times without rows.
+/// Cautions about gaps: rows without a voltage, signals without values, times without rows.
 pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let (mut cautions, name) = (Vec::new(), &run.name);
     let channel = scenario.input_channel;
@@ -572,7 +568,7 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
         if missing > 0 {
             let (key, rows) = (channel.key(), rows.count());
             cautions.push(format!(
-                "{name}: {key} is empty in {missing} of {rows} rows: the value before is taken as held there"
+                "{name}: {key} is empty in {missing} of {rows} rows: the value before it is held"
             ));
         }
     }
@@ -580,7 +576,7 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
         [(Channel::Current, &scenario.current_a), (Channel::Speed, &scenario.speed_rad_s)]
     {
         let missing = cells.iter().filter(|cell| !cell.is_finite()).count();
-        if run.column(channel).is_none() || missing * MANY_MISSING < cells.len() {
+        if run.column(channel).is_none() || missing * 10 < cells.len() {
             continue;
         }
         let (key, samples) = (channel.key(), cells.len());
@@ -596,12 +592,11 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let longest = pairs.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
     if let Some([from_s, to_s]) = longest
         && whole
-        && to_s - from_s > LONG_GAP * period_s
-        && to_s - from_s > LONG_GAP_S
+        && to_s - from_s > f64::max(50.0 * period_s, 0.2)
     {
         cautions.push(format!(
-            "{name}: no rows between {from_s:.3} s and {to_s:.3} s: the voltage is taken as held through it, and what the motor \
-             really did there is taken for an error of the model; cut the file there"
+            "{name}: no rows between {from_s:.3} s and {to_s:.3} s: the voltage is held over the gap, and the motion in it counts \
+            as an error of the model; cut the file there"
         ));
     }
     cautions
@@ -609,8 +604,8 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
 
 /// Origin and side of each signal that the run has, for JSON.
 pub(crate) fn signals(run: &Run) -> Value {
-    let there = |channel: &Channel| run.column(*channel).is_some();
-    let entries = Channel::ALL.into_iter().filter(there).map(|channel| {
+    let is_present = |channel: &Channel| run.column(*channel).is_some();
+    let entries = Channel::ALL.into_iter().filter(is_present).map(|channel| {
         let origin = run.origin(channel).name();
         let side = run.side(channel).map(Side::name);
         (channel.key().to_owned(), json!({ "origin": origin, "side": side }))
@@ -618,7 +613,7 @@ pub(crate) fn signals(run: &Run) -> Value {
     Value::Object(entries.collect::<Map<_, _>>())
 }
 
-/// Looks at the data before `identify` does. What forbids an answer ends the command, with a result in which every
+/// Checks the data before `identify`. A finding that forbids identification ends the command, with a result in which every
 /// parameter is null; cautions go to stderr and to the notes of the run.
 pub(crate) fn before_identify(
     run: &mut Run,
@@ -635,7 +630,7 @@ pub(crate) fn before_identify(
     };
     let slots = model.slots();
     let parameters = slots.iter().map(|slot| {
-        let value = serde_json::to_value(unanswered(slot, model, refusal));
+        let value = serde_json::to_value(not_identified(slot, model, refusal));
         (slot.key(), value.unwrap_or_default())
     });
     let value = json!({
@@ -661,7 +656,7 @@ pub(crate) fn before_identify(
     Err(cannot_identify(&what, refusal))
 }
 
-/// Looks at the data before a command that judges a model; what cannot be judged ends it, the rest is cautions.
+/// Checks the data before a command that judges a model; a finding that forbids it ends the command, others are cautions.
 fn before_judging(
     run: &mut Run,
     scenario: &Scenario,
@@ -706,8 +701,8 @@ fn caution(run: &mut Run, findings: &[Finding], terminal: &Terminal) {
     run.notes = notes(run, findings);
 }
 
-/// No value, with the reason; what the user fixed stays as given.
-fn unanswered(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEstimate {
+/// No value, with the reason; a parameter that the user fixed stays as given.
+fn not_identified(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEstimate {
     let key = slot.key();
     match model.get(slot) {
         Some(value) if model.fixed.contains(&key) => ParameterEstimate {
@@ -722,16 +717,15 @@ fn unanswered(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEstimat
     }
 }
 
-/// The bench that a recommendation is for, with what it may reach.
-pub(crate) struct Place {
+/// The bench of the recommended run, and its limits.
+pub(crate) struct RecommendationBench {
     bench: Option<BenchFile>,
     limits: ExperimentLimits,
     rate_hz: f64,
 }
 
-impl Place {
-    /// Where the next run would be made: on `bench`, else on that of the run folder, else on nothing beyond what the runs
-    /// have reached. To be asked before the evidence is used up.
+impl RecommendationBench {
+    /// `bench`, else that of the run folder; without either the ranges that the runs have reached are the limits.
     pub(crate) fn of(
         bench: Option<&Path>,
         prepared: &Prepared,
@@ -767,7 +761,7 @@ impl Place {
         let port = if self.bench.is_some() {
             ""
         } else {
-            " --port PORT (the runs do not say on which drive they were made)"
+            " --port PORT (the drive of the runs is not recorded)"
         };
         let file = output::quoted(path);
         terminal
@@ -775,7 +769,7 @@ impl Place {
         Ok(())
     }
 
-    /// What the next run may reach.
+    /// Limits of the next run.
     pub(crate) const fn limits(&self) -> ExperimentLimits {
         self.limits
     }
@@ -804,7 +798,7 @@ impl Place {
     }
 }
 
-/// The bench of the run folder, as its manifest keeps it. A bench of another program's version is as good as none.
+/// The bench of the run folder, from its manifest. A bench that this version cannot read is left out, with a warning.
 fn recorded_bench(prepared: &Prepared, terminal: &Terminal) -> Option<BenchFile> {
     let manifest = prepared.run.manifest.as_ref()?;
     let text = manifest.configs.get("bench")?;
@@ -817,13 +811,13 @@ fn recorded_bench(prepared: &Prepared, terminal: &Terminal) -> Option<BenchFile>
     }
 }
 
-/// The current limit that the drive of the run said it has.
+/// The current limit that the drive of the run reported.
 fn drive_limit_a(prepared: &Prepared) -> Option<f64> {
     let manifest = prepared.run.manifest.as_ref()?;
     manifest.identity.get("current_limit_a")?.as_f64()
 }
 
-/// Rows per second, as a bench file may ask for.
+/// Rows per second, as a whole number for a bench file.
 fn rate_hz(run: &Scenario) -> f64 {
     let pairs = run.sample_time_s.windows(2);
     let periods: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();

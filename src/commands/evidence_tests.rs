@@ -5,7 +5,7 @@ use drivebench_model::plant::{MotorKey, testing};
 use drivebench_model::sample::Origin;
 
 #[test]
-fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
+fn a_later_run_that_cannot_be_judged_is_refused() {
     let model = Model::baseline(Motor::zk_22fc());
     let events = || vec![(0.0, 0.0), (0.5, 60.0), (2.0, -60.0), (4.0, 30.0)];
     let record = |model: &Model, seed| testing::record(model, events(), 0.01, 6.0, seed);
@@ -24,15 +24,15 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
     let whole = |_: usize| false;
     let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
     assert!(kept.samples() == fitted.samples() && notes.is_empty(), "{notes:?}");
-    let refused = |came: Result<(Scenario, Vec<String>), Failure>| {
-        let failure = came.err().unwrap();
+    let refused = |admitted: Result<(Scenario, Vec<String>), Failure>| {
+        let failure = admitted.err().unwrap();
         failure.headline().to_owned()
     };
-    // The very samples of the run before it; and the beginning of a run that broke off.
-    let said = refused(later(&fitted, &whole));
-    assert!(said.contains("tests nothing"), "{said}");
-    let said = refused(later(&record(&model, 3), &|row| row > 40));
-    assert!(said.contains("at least"), "{said}");
+    // The samples of the fitted run itself; and the beginning of a run that ended early.
+    let headline = refused(later(&fitted, &whole));
+    assert!(headline.contains("tests nothing"), "{headline}");
+    let headline = refused(later(&record(&model, 3), &|row| row > 40));
+    assert!(headline.contains("at least"), "{headline}");
     // A torque where the other has a voltage: newton metres are no volts.
     let driven = record(&model, 7);
     let torques = driven.current_a.iter().map(|amperes| 0.35 * amperes);
@@ -41,16 +41,16 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
         (Channel::Speed, driven.speed_rad_s.clone(), Origin::Measured),
     ];
     let torque = loaded(testing::run_of("torque", driven.sample_time_s, columns));
-    let said = refused(admit_later(&torque, &model, &fitted, &Terminal::default()));
-    assert!(said.contains("driven by a torque"), "{said}");
+    let headline = refused(admit_later(&torque, &model, &fitted, &Terminal::default()));
+    assert!(headline.contains("driven by a torque"), "{headline}");
     // A sensor that was turned round meanwhile.
     let mut reversed = record(&model, 4);
     for speed in &mut reversed.speed_rad_s {
         *speed = -*speed;
     }
-    let said = refused(later(&reversed, &whole));
-    assert!(said.starts_with("the run that was made is not judged"), "{said}");
-    // Another motor behind the same drive, and rows that were lost: judged, and said.
+    let headline = refused(later(&reversed, &whole));
+    assert!(headline.starts_with("the new run cannot be used"), "{headline}");
+    // Another motor on the same drive, and rows that were lost: used, with a note.
     let motor = |key, times| model.motor.get(key).unwrap() * times;
     let mut other = model.clone();
     other.motor.set(MotorKey::BackEmf, motor(MotorKey::BackEmf, 0.8));
@@ -61,7 +61,7 @@ fn a_later_run_that_is_not_fit_to_be_judged_is_said_so() {
 }
 
 #[test]
-fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
+fn a_model_fitted_on_its_hold_out_gives_a_warning() {
     let folder = tempfile::tempdir().unwrap();
     let run = |name: &str| {
         let path = folder.path().join(name);
@@ -79,15 +79,15 @@ fn a_model_that_was_fitted_on_what_judges_it_is_told_by_its_file() {
         ("its samples", &history, &select, Some(&samples), of_a_fit),
         ("moved", &moved, &select, Some(&fit), of_a_fit),
         ("same run", &history, &fit, None, Some("its last part")),
-        // The run that a model was fitted on may stand beside one that it was not.
-        ("beside", &history, &fit, Some(&select), None),
+        // A hold-out on which the model was not fitted is right.
+        ("independent hold-out", &history, &fit, Some(&select), None),
         ("another", &history, &select, None, None),
     ] {
         let warning = was_fitted_on(history, run, holdout.map(PathBuf::as_path));
-        let is_told = match (&warning, expected) {
+        let is_expected = match (&warning, expected) {
             (Some(warning), Some(part)) => warning.contains(part),
             (warning, expected) => warning.is_none() && expected.is_none(),
         };
-        assert!(is_told, "{case}: {warning:?}");
+        assert!(is_expected, "{case}: {warning:?}");
     }
 }

@@ -1,5 +1,5 @@
 //! `export`: a model and the gains of its regulator for other tools, as source text of a language or as JSON with every
-//! effect; the map of a torque that runs show; a run as columns.
+//! effect; a torque map measured in runs; a run as columns.
 
 use std::path::{Path, PathBuf};
 
@@ -18,7 +18,7 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_model::plant::{MappedTorque, ModelFile, Scenario};
 
 /// Write a model, with the gains of its regulator, as JSON, C, Python, MATLAB/Octave or Modelica; friction or cogging as
-/// runs show it, as CSV or C; or a run as Parquet
+/// measured in runs, as CSV or C; or a run as Parquet
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench export --model model.toml --to c --output motor.h
@@ -30,12 +30,12 @@ pub(super) struct Arguments {
     /// Model file, complete
     #[arg(long, value_parser = run_path(), required_unless_present = "run")]
     model: Option<PathBuf>,
-    /// Run folder, samples.csv, or any CSV with --map; of a torque map several
+    /// Run folder, samples.csv, or any CSV with --map; several for a torque map
     #[arg(long, value_parser = run_path(), conflicts_with = "gains")]
     run: Vec<PathBuf>,
     /// friction (over the speed, both directions) or cogging (over a turn): measured from the torque balance of the runs
-    /// with Kt and J of the model, whatever friction or cogging the model has; a bin without data is empty
-    #[arg(long, value_name = "TORQUE", value_parser = mapped, requires = "run", requires = "model")]
+    /// with Kt and J of the model, not with the friction or cogging of the model; a bin without data is empty
+    #[arg(long, value_name = "TORQUE", value_parser = torque, requires = "run", requires = "model")]
     torque_map: Option<MappedTorque>,
     #[command(flatten)]
     map: MapArguments,
@@ -48,7 +48,7 @@ pub(super) struct Arguments {
     /// Largest voltage that the regulator may give, V
     #[arg(long, value_name = "V", requires = "gains")]
     limit_v: Option<f64>,
-    /// Write here instead of to stdout; never overwritten. Its name is that of the model in the file
+    /// Write here instead of to stdout; never overwritten. The model has the name of the file
     #[arg(long, value_name = "FILE")]
     output: Option<PathBuf>,
 }
@@ -67,11 +67,11 @@ enum Format {
     Modelica,
     /// The torque map: a row for each bin, with its 95 % interval
     Csv,
-    /// The run as columns, for pandas and others; in programs that were built with the feature of this name
+    /// The run as columns, for pandas and others; in programs that were built with the feature parquet
     Parquet,
 }
 
-fn mapped(text: &str) -> Result<MappedTorque, String> {
+fn torque(text: &str) -> Result<MappedTorque, String> {
     by_name(MappedTorque::ALL, MappedTorque::name, text)
 }
 
@@ -125,7 +125,7 @@ impl Format {
 /// The run as columns.
 fn columns(arguments: &Arguments, run: &Path, terminal: &Terminal) -> Result<(), Failure> {
     let Some(path) = &arguments.output else {
-        let help = "add --output FILE: columns are not for a terminal";
+        let help = "add --output FILE: Parquet is binary and is not printed";
         return Err(Failure::usage("--output is missing", help));
     };
     require_parquet()?;
@@ -159,7 +159,7 @@ fn export(
     Ok((text, title))
 }
 
-/// The map of a torque that runs show, as C or else as CSV, and its title in one line.
+/// A torque map measured in runs, as C or else as CSV, and its title in one line.
 fn torque_map_of(
     of: MappedTorque,
     model: &Path,
@@ -181,7 +181,7 @@ fn torque_map_of(
     let (mut used, mut unused) = (Vec::new(), Vec::new());
     for (index, loaded) in runs.iter().enumerate() {
         let name = &loaded.run.name;
-        match left_out.iter().find(|(place, _)| *place == index) {
+        match left_out.iter().find(|(run, _)| *run == index) {
             Some((_, signal)) => unused.push(format!("; {name} has no {signal} and was left out")),
             None => used.push(name.as_str()),
         }
@@ -251,7 +251,7 @@ fn as_json(
     let laws = file.model.effects.iter().map(|active| {
         let written = formulas(active).map(|all| {
             let all = all.into_iter();
-            all.map(|(place, text)| json!({ "adds_to": place, "formula": text }))
+            all.map(|(equation, text)| json!({ "adds_to": equation, "formula": text }))
                 .collect::<Vec<Value>>()
         });
         json!({ "id": active.id(), "equation": active.effect.card().equation, "terms": written })
@@ -267,7 +267,7 @@ fn as_json(
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
 }
 
-/// The table of a run as Parquet: of a folder as it stands, else the columns that were read.
+/// The table of a run as Parquet: all columns of a run folder, else the columns that were read.
 fn run_as_parquet(
     loaded: &LoadedRun,
     folder: Option<&Path>,
@@ -276,7 +276,7 @@ fn run_as_parquet(
     let table = match folder.filter(|_| loaded.run.rows_dropped == 0) {
         None => {
             terminal.message(
-                "the file is not the log of a run as it was recorded: the columns that drivebench reads are written, others not",
+                "the file is not a recorded log: only the columns that drivebench reads are written",
             );
             write_run(&loaded.run).into_bytes()
         }

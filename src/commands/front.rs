@@ -1,4 +1,4 @@
-//! The page of the program without a command: the loop in one picture, the files of this folder, and the next step.
+//! The page of the program without a command: the procedure in one picture, the files of this folder, and the next step.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -9,16 +9,16 @@ use drivebench_bench::recording::{LATEST, RunFile, read_text};
 use drivebench_model::plant::ModelFile;
 use drivebench_model::text::shell::quoted_word;
 
-/// The commands in the order of the loop, which goes back from `add` until only noise is left.
-const LOOP: &str = "  connect   ports, doctor       what is plugged in; does the line work?
+/// The commands in their usual order, which returns from `add` to `compare` until only noise is left.
+const PROCEDURE: &str = "  connect   ports, doctor       what is plugged in; does the line work?
   prepare   init, plan          the bench file; what will happen, before it does
-  measure   run, identify       the motor turns; its figures, and how sure they are
-  explain   compare, diagnose   where the model fails, and which effect it lacks <-.
-  extend    add                 the effect joins the model: the error falls -------'
-  use       tune, speed         a speed loop that follows the motor
+  measure   run, identify       the motor turns; its parameters with uncertainties
+  explain   compare, diagnose   where the model fails, and the missing effect <-.
+  extend    add                 the effect joins the model: the error falls ----'
+  use       tune, speed         a speed loop that adapts to the motor
   share     export              the model in other tools; report.html shows it all
 
-`commission` goes the whole way by itself; `drivebench help` lists every command.
+`commission` does all steps by itself; `drivebench help` lists every command.
 ";
 
 /// Files of a folder.
@@ -46,7 +46,7 @@ struct Run {
 pub(crate) fn page(folder: &Path) -> String {
     let found = Found::of(folder);
     let mut text = format!(
-        "drivebench {}: identify a motor on line, and name the effect that its model lacks\n\n{LOOP}",
+        "drivebench {}: identify a motor on line, and name the effect that its model lacks\n\n{PROCEDURE}",
         env!("CARGO_PKG_VERSION")
     );
     let _ = writeln!(text, "\nIn this folder");
@@ -95,17 +95,17 @@ impl Found {
             });
         }
         let latest = fs::read_link(runs.join(LATEST)).ok();
-        // Runs of one second stand in the order of their names: the link names the last of them.
+        // Runs of the same second are sorted by name, not by time: the link names the newest.
         let is_latest = |run: &Run| latest.as_deref() == Some(Path::new(&run.name));
-        if let Some(place) = found.runs.iter().position(is_latest) {
-            let newest = found.runs.remove(place);
+        if let Some(index) = found.runs.iter().position(is_latest) {
+            let newest = found.runs.remove(index);
             found.runs.push(newest);
             found.has_latest = true;
         }
         found
     }
 
-    /// What is there, one kind a line.
+    /// The files, one kind a line.
     fn lines(&self) -> Vec<String> {
         let mut lines = Vec::new();
         if !self.benches.is_empty() {
@@ -138,8 +138,8 @@ impl Found {
             let why = "gains of a speed loop from the model, with reasons; then `drivebench speed`";
             step(format!("drivebench tune --model {}", quoted_word(&model)), why)
         };
-        let mut own = self.models.iter().rev();
-        if let Some((name, _)) = own.find(|(_, effects)| !effects.is_empty()) {
+        let mut models = self.models.iter().rev();
+        if let Some((name, _)) = models.find(|(_, effects)| !effects.is_empty()) {
             return vec![tuned(name.clone())];
         }
         let modelled = self.runs.iter().rev().find(|run| run.model.is_some());
@@ -150,7 +150,7 @@ impl Found {
                 let model = format!("{path}/{}", RunFile::Model.name());
                 let mut steps = vec![step(
                     format!("drivebench diagnose {}", quoted_word(&path)),
-                    "which effect its model still lacks, and the command that adds it",
+                    "which effect is still missing in its model, and the command that adds it",
                 )];
                 if !effects.is_empty() {
                     steps.insert(0, tuned(model));
@@ -159,7 +159,7 @@ impl Found {
             }
             (None, Some(run), _) => vec![step(
                 format!("drivebench identify {} --output model.toml", quoted_word(&self.path(run))),
-                "the motor in figures, each with its uncertainty",
+                "the parameters of the motor, each with its uncertainty",
             )],
             (None, None, Some(bench)) => vec![
                 step(
@@ -168,13 +168,13 @@ impl Found {
                 ),
                 step(
                     format!("drivebench commission {}", quoted_word(bench)),
-                    "the whole loop on this bench",
+                    "all steps on this bench",
                 ),
             ],
             (None, None, None) => vec![
                 step(
                     "drivebench commission".to_owned(),
-                    "the whole loop on an emulated motor that hides an effect: nothing real moves",
+                    "all steps on an emulated motor with a hidden effect: nothing real moves",
                 ),
                 step(
                     "drivebench doctor".to_owned(),
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_next_step_follows_from_what_is_there() {
+    fn the_next_step_follows_from_the_files() {
         let mut found = Found::default();
         assert_eq!(first(&found), "drivebench commission");
         found.benches.push("b.toml".to_owned());

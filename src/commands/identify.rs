@@ -41,10 +41,10 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 #[derive(clap::Args)]
 #[command(after_help = after_help())]
 pub(super) struct Arguments {
-    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine are also fitted as one, and give the spread between them
+    /// Run folder, samples.csv, or any CSV with --map; several runs of one machine are also fitted together, and give the spread between them
     #[arg(required = true, value_name = "RUN", value_parser = run_path())]
     runs: Vec<PathBuf>,
-    /// Model file: which parameters are sought, which are fixed; without it the five-parameter baseline
+    /// Model file: which parameters are identified, which are fixed; without it the five-parameter baseline
     #[arg(long)]
     model: Option<PathBuf>,
     /// Method, one of the schemes listed below
@@ -70,7 +70,7 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -105,11 +105,11 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
             "give motor turns per turn of the load, as --gear-ratio 10",
         ));
     }
-    for (place, path) in arguments.runs.iter().enumerate() {
-        if arguments.runs[..place].contains(path) {
+    for (index, path) in arguments.runs.iter().enumerate() {
+        if arguments.runs[..index].contains(path) {
             return Err(Failure::usage(
                 format!("{}: given twice", path.display()),
-                "several runs count as independent records: give each once",
+                "each run counts as an independent record: give it once",
             ));
         }
     }
@@ -165,7 +165,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         runs,
     };
     if let Some(path) = &arguments.nameplate {
-        answer.nameplate = Some(nameplate::compare(&plate(path)?, &answer.parameters()));
+        answer.nameplate = Some(nameplate::compare(&nameplate_motor(path)?, &answer.parameters()));
     }
     drop(shown);
     let run = output::quoted(&arguments.runs[0]);
@@ -237,7 +237,7 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
     let found = |p: &ParameterEstimate| is_usable(p) && p.verdict != Verdict::Fixed;
     if !parameters.iter().any(found) {
         if parameters.iter().any(|p| p.verdict == Verdict::Invalid) {
-            let headline = "no parameter can be identified soundly: the values found are invalid";
+            let headline = "no parameter can be identified: the values found are invalid";
             return Err(Failure::new(NOT_IDENTIFIABLE, headline));
         }
         return Err(Failure::not_identifiable(
@@ -302,7 +302,7 @@ pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
 }
 
 /// The motor of a nameplate file.
-fn plate(path: &Path) -> Result<Motor, Failure> {
+fn nameplate_motor(path: &Path) -> Result<Motor, Failure> {
     let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
     Ok(file.motor())
 }
@@ -327,13 +327,13 @@ pub(crate) fn identify(
     Ok(OneRun { loaded, scenario, found, findings })
 }
 
-/// One fit to several runs of a machine behind each other, where each was fitted by its free run and no effect of the model is
-/// an event of a single run.
+/// One fit to several runs of a machine in sequence, where each was fitted by its free run and no effect of the model is an
+/// event of a single run.
 fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
     let (first, others) = runs.split_first().filter(|(_, others)| !others.is_empty())?;
     let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
-    let goes_on = |own: &ActiveEffect| own.effect.goes_on_over_runs();
-    if !runs.iter().all(is_fitted) || model.effects.iter().any(goes_on) {
+    let is_event = |own: &ActiveEffect| own.effect.goes_on_over_runs();
+    if !runs.iter().all(is_fitted) || model.effects.iter().any(is_event) {
         return None;
     }
     let follow = |all: Scenario, next: &OneRun| all.followed_by(&next.scenario);
@@ -382,7 +382,7 @@ fn absolute(
     let kt = |run: &OneRun| run.found.model.motor.torque_constant();
     let (Some(kt_without), Some(kt_with)) = (kt(without), kt(with)) else {
         return Err(Failure::not_identifiable(
-            "neither run carries a torque constant to start from",
+            "neither run gives a torque constant to start from",
             "give torque_n_m_per_a or back_emf_v_s_per_rad in the model file: any value will do, the added inertia corrects it",
         ));
     };
@@ -401,7 +401,7 @@ fn caution(combined: &[Repeated], absolute: Option<&[ParameterEstimate]>) -> Opt
     let ratio = kt / ke;
     (!(0.7..=1.1).contains(&ratio)).then(|| {
         format!(
-            "Kt is {ratio:.2} times Ke, 0.70 to 1.10 is plausible: check the added inertia, the shaft it is given on, \
+            "Kt is {ratio:.2} times Ke, 0.70 to 1.10 is plausible: check the added inertia, the shaft that it refers to, \
              and that both runs are of the same machine"
         )
     })
@@ -473,7 +473,7 @@ fn schemes(answer: &Answer) -> String {
     schemes.join(" and ")
 }
 
-/// Median distance of the measurements, s.
+/// Median sampling period of the measurements, s.
 fn period_s(run: &OneRun) -> Option<f64> {
     [Channel::Current, Channel::Speed]
         .into_iter()

@@ -1,7 +1,7 @@
 //! `init`: a bench file from a drive profile, a port and a nameplate, or a suite from runs; every limit with its reason.
 //!
 //! ```text
-//! --suite RUN... -> test::golden -> new suite, and the bench of the runs beside it
+//! --suite RUN... -> test::golden -> new suite, and the bench file of the runs
 //! profile, nameplate -> probe: limits of the drive, read-only (unless --offline) -> bench::init_file -> new file | stdout
 //! ```
 
@@ -29,11 +29,11 @@ const NAMELESS: &str = "bench.toml";
   drivebench init --drive epulse50-dc --port /dev/ttyUSB0 --unit 3 --motor my-motor.toml > bench.toml
   drivebench init --drive own --port sim: --motor bench-configs/motors/zk-22fc.toml       to try it without a drive
   drivebench init --drive ./acme-40.toml --port /dev/ttyUSB0 --offline --motor my-motor.toml
-  drivebench init --suite runs/*-fit --out golden.toml                hold the machine to what it was found to be
+  drivebench init --suite runs/*-fit --out golden.toml                limits of later tests from these runs
 
 A nameplate is the [motor] table of a bench file, with or without the header. Name and rated values are needed; what makes
 the model of the motor may be left out where the drive takes a voltage: `drivebench run` then finds it from small steps first.
-The drive's own limits are read, and nothing is written to it; --offline goes without. No file is ever overwritten.
+The drive's own limits are read, and nothing is written to it; --offline skips this. No file is ever overwritten.
 
 --suite takes run folders of `commission`, `run` and `speed` that passed, of one machine on one bench. Each limit has its
 reason: the interval of a parameter, the spread of the runs, or the worst of them and a margin.")]
@@ -47,7 +47,7 @@ pub(super) struct Arguments {
     /// Nameplate of the motor
     #[arg(long, value_name = "NAMEPLATE", required_unless_present = "suite")]
     motor: Option<PathBuf>,
-    /// Run folders: write a suite that holds the machine to what it was found to be; needs --out
+    /// Run folders: write a suite that tests the machine against the results of these runs; needs --out
     #[arg(long, value_name = "RUN", num_args = 1.., requires = "out", conflicts_with_all = ["drive", "port", "motor", "baud", "unit", "offline"])]
     suite: Vec<PathBuf>,
     /// New bench file, or suite; without it, or with -, a bench file goes to stdout
@@ -85,8 +85,11 @@ fn suite(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     terminal.result(&result, arguments.json, |_| {
         let lines: Vec<_> = limits
             .iter()
-            .map(|one| {
-                format!("  {:<10} {} = {}\n      {}", one.case, one.key, one.limit, one.reason)
+            .map(|limit| {
+                format!(
+                    "  {:<10} {} = {}\n      {}",
+                    limit.case, limit.key, limit.limit, limit.reason
+                )
             })
             .collect();
         let (files, count) = (files.join(", "), limits.len());
@@ -127,7 +130,7 @@ fn bench(
         drive,
         port: stable.as_deref().unwrap_or(port),
         port_reason: if stable.is_some() {
-            "the stable name of the port that was given: another adapter gets another one"
+            "the stable name of the given port: another adapter has another one"
         } else {
             ""
         },
@@ -207,7 +210,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_nameplate_may_carry_the_header_of_its_section() {
+    fn a_nameplate_may_have_the_header_of_its_section() {
         let plain = include_str!("../../bench-configs/motors/zk-22fc.toml");
         let bare = nameplate("m.toml", plain).unwrap();
         let headed = nameplate("m.toml", &format!("[motor]\n{plain}")).unwrap();

@@ -201,11 +201,11 @@ fn called(
     (command, path)
 }
 
-/// The first example of the command on its help page, which may show others on the way to it.
+/// The first example of the command on its help page, which may show other commands before it.
 fn example(command: &clap::Command, path: &str) -> Option<String> {
     let text = command.get_after_help()?.to_string();
     let line = text.lines().map(str::trim).find(|line| line.starts_with(path))?;
-    // A remark stands behind it.
+    // A remark follows after two spaces.
     Some(line.split("  ").next().unwrap_or(line).to_owned())
 }
 
@@ -223,7 +223,7 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> Failure {
     let (mut headline, mut tip, mut usage) = (String::new(), None, None);
     for line in text.lines().map(str::trim).filter(|l| !l.is_empty()) {
         if let Some(found) = line.strip_prefix("tip: ") {
-            // How to pass an option as a value is not what was meant.
+            // The tip on passing an option as a value is left out.
             tip = tip.or_else(|| found.contains("similar").then(|| suggestion(found)));
         } else if let Some(found) = line.strip_prefix("Usage: ") {
             usage = Some(found);
@@ -254,7 +254,7 @@ fn usage_failure(error: &clap::Error, program: clap::Command) -> Failure {
         (Some(tip), _) => tip,
         _ if is_option => page,
         (None, Some(usage)) if unexpected.is_some() && command.get_name() == "view" => {
-            format!("give the run to judge by with --holdout RUN2; usage: {usage}")
+            format!("give the hold-out run with --holdout RUN2; usage: {usage}")
         }
         (None, Some(usage)) if error.kind() == ErrorKind::MissingRequiredArgument => {
             let example = example(&command, &path).map(|text| format!("; for example `{text}`"));

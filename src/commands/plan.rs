@@ -90,11 +90,11 @@ fn known_text(forecast: &Known) -> String {
     text
 }
 
-/// What moves a drive that takes no voltage.
-fn reference_text(reference: &Forward) -> String {
+/// Text for a drive that takes no voltage command.
+fn reference_text(reference: &ReferencePlan) -> String {
     format!(
         "this drive takes no voltage: only the reference of [speed] moves the motor, with `drivebench speed`: {:.1} s, up to {:.0} rad/s either way; \
-         the limits are {:.0} rad/s, {:.1} A and {:.0} s. What the drive's own loop draws is not predicted\n",
+         the limits are {:.0} rad/s, {:.1} A and {:.0} s. The current of the drive's own loop is not predicted\n",
         reference.duration_s,
         reference.peak_speed_rad_s,
         reference.speed_limit_rad_s,
@@ -175,7 +175,7 @@ struct Known {
     #[serde(flatten)]
     plan: Plan,
     /// Of a drive that takes no voltage: the plan of the sequence then moves nothing. `null`: the sequence is what moves.
-    reference: Option<Forward>,
+    reference: Option<ReferencePlan>,
     /// `null` where no serial line is involved.
     line: Option<LineBudget>,
 }
@@ -189,7 +189,7 @@ struct Unknown {
 
 /// The reference of a speed run, and its limits.
 #[derive(Serialize)]
-struct Forward {
+struct ReferencePlan {
     duration_s: f64,
     peak_speed_rad_s: f64,
     speed_limit_rad_s: f64,
@@ -197,7 +197,7 @@ struct Forward {
     time_limit_s: f64,
 }
 
-impl Forward {
+impl ReferencePlan {
     fn of(reference: &Reference, bench: &BenchFile) -> Self {
         let limits = bench.limits();
         Self {
@@ -221,9 +221,9 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
         Port::Tcp(_) => None,
         Port::Emulator | Port::Sim | Port::SimRtu | Port::Serial(_) => LineBudget::of(&profile),
     };
-    let asked_hz = bench.link.rate_hz;
-    let carried_hz = line.as_ref().map_or(asked_hz, LineBudget::rate_hz);
-    let rate_hz = asked_hz.min(carried_hz);
+    let requested_hz = bench.link.rate_hz;
+    let allowed_hz = line.as_ref().map_or(requested_hz, LineBudget::rate_hz);
+    let rate_hz = requested_hz.min(allowed_hz);
     let mut warnings: Vec<String> =
         silence_warning(&bench, &profile, line.is_some()).into_iter().collect();
     // Without its friction a motor is still known well enough for a prediction; with less it is not.
@@ -253,9 +253,9 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     };
     let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
     plan.warnings.extend(warnings);
-    if rate_hz < asked_hz {
+    if rate_hz < requested_hz {
         plan.warnings.push(format!(
-            "{asked_hz} Hz is requested, the line carries {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
+            "{requested_hz} Hz is requested, the line allows {rate_hz:.0} Hz: cycles will be missed, and the prospects above are \
              those of {rate_hz:.0} Hz"
         ));
     }
@@ -264,7 +264,7 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     if let Some(speed) = bench.speed.as_ref().filter(|_| voltages.is_some()) {
         bench.check_speed(file, source)?;
         let found = bench.reference(speed).ok();
-        reference = found.map(|found| Forward::of(&found, &bench));
+        reference = found.map(|found| ReferencePlan::of(&found, &bench));
     }
     Ok(Forecast::Known(Box::new(Known { plan, reference, line })))
 }

@@ -1,4 +1,4 @@
-//! `replay`: the on-line estimators over a log, row by row; the live estimates must come out again to the bit.
+//! `replay`: the on-line estimators over a log, row by row; the live estimates must be reproduced to the bit.
 
 use std::path::{Path, PathBuf};
 
@@ -60,7 +60,7 @@ fn text(result: &Replayed) -> String {
     lines.push(match (result.identical, &result.not_compared_because) {
         (Some(true), _) => "identical to the live estimates, to the bit".to_owned(),
         (Some(false), _) => "not identical to the live estimates".to_owned(),
-        (None, Some(because)) => format!("nothing to compare with: {because}"),
+        (None, Some(reason)) => format!("nothing to compare with: {reason}"),
         (None, None) => "nothing to compare with".to_owned(),
     });
     lines.join("\n")
@@ -105,7 +105,7 @@ fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<
         terminal.message(&dialect);
     }
     let mut warnings = rows.warnings();
-    warnings.extend(why_silent(&rows));
+    warnings.extend(missing_channels(&rows));
     terminal.warn(&warnings);
     let online = estimator.result();
     let live = live_result(&rows, map.is_some()).and_then(|live| {
@@ -113,7 +113,7 @@ fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<
         let reason = "the manifest does not hold the configuration of the live estimators";
         is_known.then_some(live).ok_or_else(|| reason.to_owned())
     });
-    let (mut difference, mut compared_with, mut because) = (None, None, None);
+    let (mut difference, mut compared_with, mut reason) = (None, None, None);
     match live {
         Ok((path, live)) => {
             let replayed = serde_json::to_value(&online).map_err(|error| {
@@ -122,7 +122,7 @@ fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<
             difference = Some(first_difference(&live, &replayed));
             compared_with = Some(path.display().to_string());
         }
-        Err(reason) => because = Some(reason),
+        Err(text) => reason = Some(text),
     }
     Ok(Replayed {
         run: run.display().to_string(),
@@ -133,7 +133,7 @@ fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<
         identical: difference.as_ref().map(Option::is_none),
         first_difference: difference.flatten(),
         compared_with,
-        not_compared_because: because,
+        not_compared_because: reason,
     })
 }
 
@@ -180,8 +180,8 @@ fn live_result(rows: &RunRows, mapped: bool) -> Result<(PathBuf, Value), String>
     }
 }
 
-/// Channels that the estimators need and the run has not.
-fn why_silent(rows: &RunRows) -> Option<String> {
+/// Channels that the estimators need and that are not in the run.
+fn missing_channels(rows: &RunRows) -> Option<String> {
     let missing: Vec<&str> = [Channel::Current, Channel::Speed]
         .into_iter()
         .filter(|needed| rows.rows.channels().all(|channel| channel != *needed))

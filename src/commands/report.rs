@@ -1,5 +1,5 @@
-//! `report`: the page of a recorded run, the one in its folder or one made anew from the record, and the pictures of any of our
-//! pages as files.
+//! `report`: the page of a recorded run, from its folder or generated from the record, and the pictures of any of our pages as
+//! files.
 
 use std::path::{Path, PathBuf};
 
@@ -17,15 +17,15 @@ use drivebench_bench::{BenchFile, LastSeconds, Stop};
 use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
 
-/// The page of a recorded run, anew where none is kept, and its pictures, as files
+/// Write the page of a recorded run, where its folder has none, and its pictures as files
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
-  drivebench report runs/a --svg figures          pictures of the page that runs/a keeps
-  drivebench report runs/a --output page.html     the page of the record alone, made anew")]
+  drivebench report runs/a --svg figures          pictures of the page in runs/a
+  drivebench report runs/a --output page.html     a new page, from the record alone")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, any CSV with --map; or a page, with --svg
     run: PathBuf,
-    /// Make the page anew and write it here; never overwritten
+    /// Make a new page and write it here; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     output: Option<PathBuf>,
     /// Write every picture of the page into this folder
@@ -100,7 +100,7 @@ pub(crate) fn last_rows(last: LastSeconds) -> String {
 }
 
 /// Writes the page under `--output`, else into the run's folder where there is none yet, and its pictures into the folder of
-/// `--svg`. Of a page that is named itself there are the pictures only.
+/// `--svg`. Of a page that is named itself only the pictures are written.
 fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failure> {
     let path = arguments.run.as_path();
     let (output, pictures) = (arguments.output.as_deref(), arguments.svg.as_deref());
@@ -120,13 +120,13 @@ fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failur
     let kept = kept_estimates(&loaded);
     let page = page(&loaded, &kept);
     let folder = loaded.folder.as_ref().map(RunFolder::existing);
-    let there = folder.as_ref().map(|folder| folder.file(RunFile::Report));
-    let there = there.filter(|path| output.is_none() && path.exists());
-    let html = match &there {
+    let existing = folder.as_ref().map(|folder| folder.file(RunFile::Report));
+    let existing = existing.filter(|path| output.is_none() && path.exists());
+    let html = match &existing {
         Some(path) => read_text(path)?,
         None => page.html(),
     };
-    let path = match (output, there, folder) {
+    let path = match (output, existing, folder) {
         (Some(path), ..) => {
             terminal.file(path, &html)?;
             Some(path.to_owned())

@@ -40,8 +40,8 @@ pub(super) struct Arguments {
     live: LiveArguments,
     #[command(flatten)]
     unknown: UnknownMotor,
-    /// Seed of the sequence's random parts, and of the emulator's noise on that day (no number of a run): as runs.fit, select
-    /// or confirm of the bench file. Without it runs.fit
+    /// Seed of the random parts of the sequence and of the emulator's noise, as runs.fit, select or confirm in the bench file;
+    /// not the number of a run. Without it runs.fit
     #[arg(long, value_name = "N")]
     run_seed: Option<u64>,
     /// Only the checks before the first move: identity, limits, rate, noise at rest, the drive's watchdog; and whether the
@@ -66,10 +66,10 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         run(options, run_seed, Box::new(Rig::open), controls)
     })?;
     match &done.work {
-        RunDone::Named(escalation) => {
+        RunDone::NotFound(escalation) => {
             let mut document = Document::new("", "");
             escalation.put("motor", &mut document);
-            tables::plate(&mut document, escalation.nameplate.as_ref());
+            tables::nameplate_section(&mut document, escalation.nameplate.as_ref());
             terminal.document(escalation.as_ref(), live.json, true, &document)?;
             done.screen.conclude(escalation_failure(escalation))
         }
@@ -96,7 +96,7 @@ struct RunResult<'a> {
     /// How an unknown motor was found.
     #[serde(skip_serializing_if = "Option::is_none")]
     escalation: Option<&'a EscalationResult>,
-    /// The found values beside the nameplate, where there is one.
+    /// The found values compared with the nameplate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
     nameplate: Option<Comparison>,
     /// The estimates with their keys.
@@ -105,17 +105,17 @@ struct RunResult<'a> {
 
 pub(crate) enum RunDone {
     /// The motor could not be found.
-    Named(Box<EscalationResult>),
-    Run(Box<Whole>),
+    NotFound(Box<EscalationResult>),
+    Run(Box<CompletedRun>),
 }
 
-pub(crate) struct Whole {
+pub(crate) struct CompletedRun {
     plan: Plan,
     pub recorded: Recorded,
     pub(crate) escalation: Option<EscalationResult>,
     /// The motor of the bench file.
-    pub(super) plate: Motor,
-    /// The found values beside it, where it has any.
+    pub(super) nameplate_motor: Motor,
+    /// The found values compared with it, where it has any.
     nameplate: Option<Comparison>,
 }
 
@@ -144,7 +144,7 @@ pub(crate) fn run(
             }
         })?;
         if result.ending.is_some() {
-            return Ok(RunDone::Named(Box::new(result)));
+            return Ok(RunDone::NotFound(Box::new(result)));
         }
         escalation = Some(result);
     }
@@ -153,16 +153,21 @@ pub(crate) fn run(
     let name = rig.bench.name.clone();
     let recorded = rig.record(&name, seed, controls)?;
     let nameplate = rig.nameplate()?.motor();
-    let mut whole =
-        Whole { plan, recorded, escalation, plate: rig.nameplate_motor.clone(), nameplate: None };
-    whole.nameplate = match &whole.escalation {
-        // The escalation's fit is the sharper one; where there was none, what was found on line.
-        Some(escalation) => escalation.nameplate.clone(),
-        None => compared(&whole.plate, &whole.recorded.summary.estimates),
+    let mut run = CompletedRun {
+        plan,
+        recorded,
+        escalation,
+        nameplate_motor: rig.nameplate_motor.clone(),
+        nameplate: None,
     };
-    judge_plate(&mut whole, &nameplate);
-    write_results(&mut whole, &nameplate, &rig.options.terminal);
-    Ok(RunDone::Run(Box::new(whole)))
+    run.nameplate = match &run.escalation {
+        // The fit of the escalation is more accurate than the on-line estimates.
+        Some(escalation) => escalation.nameplate.clone(),
+        None => compared(&run.nameplate_motor, &run.recorded.summary.estimates),
+    };
+    judge_nameplate(&mut run, &nameplate);
+    write_results(&mut run, &nameplate, &rig.options.terminal);
+    Ok(RunDone::Run(Box::new(run)))
 }
 
 /// A drive that has answered every check before the first move.
@@ -195,7 +200,7 @@ fn connect(
     let is_known = rig.bench.nameplate().is_some();
     let plan = is_known.then(|| rig.plan(seed)).transpose()?;
     Ok(Connection {
-        link: rig.way.link.name().to_string(),
+        link: rig.connection.link.name().to_string(),
         profile: rig.profile.provenance(),
         rate_hz: rig.bench.link.rate_hz,
         checks,
@@ -229,7 +234,7 @@ impl Connection {
 
 /// Withdraws the verdict that the nameplate does not fit where the five-parameter model leaves more than the noise on this
 /// run, or cannot be compared with it: a missing effect shifts its values, and a brush drop looks like another motor.
-fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
+fn judge_nameplate(whole: &mut CompletedRun, nameplate: &Motor) {
     let Some(comparison) = whole.nameplate.as_mut().filter(|found| !found.fits) else {
         return;
     };
@@ -258,8 +263,8 @@ fn judge_plate(whole: &mut Whole, nameplate: &Motor) {
     }
 }
 
-/// Model and result beside the samples: whatever was measured is kept, also after a trip.
-fn write_results(whole: &mut Whole, nameplate: &Motor, terminal: &Terminal) {
+/// Writes model and result to the run folder, also after a trip.
+fn write_results(whole: &mut CompletedRun, nameplate: &Motor, terminal: &Terminal) {
     let recorded = &mut whole.recorded;
     let model = online_model(&recorded.summary, nameplate, recorded.folder.path());
     recorded.write(RunFile::Model, &model.to_toml());
@@ -289,7 +294,7 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> Model
     file
 }
 
-fn run_result(whole: &Whole) -> RunResult<'_> {
+fn run_result(whole: &CompletedRun) -> RunResult<'_> {
     let recorded = &whole.recorded;
     let estimates = recorded.summary.estimates.iter();
     RunResult {
@@ -337,7 +342,7 @@ pub(crate) fn escalate(
     let mut result = workflow.result();
     if let Some(found) = result.found(&rig.bench) {
         print(&result.sentence);
-        let claimed = !rig.bench.motor.is_unknown();
+        let is_stated = !rig.bench.motor.is_unknown();
         if let Some(refusal) = result.scale(&rig.bench, rig.drive_current_limit_a())? {
             let headline = format!("plan refused for the motor that was found: {refusal}");
             return Err(Failure::usage(headline, refusal.help()));
@@ -346,7 +351,7 @@ pub(crate) fn escalate(
         let scaled = result.scaled.as_ref().ok_or_else(nothing)?;
         let nameplate = result.nameplate.as_ref();
         let fits = nameplate.is_none_or(|comparison| comparison.fits);
-        if let Some(refusal) = scaled.refusal.as_ref().filter(|_| claimed && !fits) {
+        if let Some(refusal) = scaled.refusal.as_ref().filter(|_| is_stated && !fits) {
             // The sequence was written for the nameplate: as written it would be too much.
             if let Some(comparison) = nameplate {
                 print(&words::nameplate(comparison));

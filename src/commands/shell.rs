@@ -46,7 +46,7 @@ pub(super) fn execute_man(arguments: &Man, terminal: &Terminal) -> Result<(), Fa
     };
     fs::create_dir_all(folder).map_err(|error| {
         let headline = format!("{}: cannot make the folder: {error}", folder.display());
-        Failure::usage(headline, "name a folder that is there or can be made")
+        Failure::usage(headline, "name a folder that exists or can be made")
     })?;
     // Pages of another version are replaced: they are generated, and no result.
     clap_mangen::generate_to(command, folder)

@@ -25,7 +25,7 @@ pub(super) struct Arguments {
     /// The run whose voltage and sample times are used: run folder, samples.csv, or any CSV with --map
     #[arg(long, value_parser = run_path())]
     run: PathBuf,
-    /// Put what was measured beside the model: columns `measured_current_a` and `measured_speed_rad_s`
+    /// Add the measured signals: columns `measured_current_a` and `measured_speed_rad_s`
     #[arg(long)]
     measured: bool,
     /// Write here instead of to stdout
@@ -47,14 +47,14 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let noise = NoiseFloor::from_standstill(&scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));
     let trajectory = output_error::predict(&model, &scenario, &noise)?.trajectory;
-    let held = |time_s: f64| {
+    let input_at = |time_s: f64| {
         let events = &scenario.events;
         let after = events.partition_point(|event| event.0 <= time_s);
         events[after.max(1) - 1].1
     };
     let internal = |error: RunError| Failure::internal(error.to_string());
     let mut run = Run::new("simulated", scenario.sample_time_s.clone()).map_err(internal)?;
-    let input = scenario.sample_time_s.iter().map(|time_s| held(*time_s));
+    let input = scenario.sample_time_s.iter().map(|time_s| input_at(*time_s));
     let mut columns = vec![
         (scenario.input_channel, input.collect(), Origin::Commanded),
         (Channel::Speed, trajectory.speed_rad_s, Origin::Estimated),
@@ -81,8 +81,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     }
 }
 
-/// The lines of a simulated run, which stand at the sample times, each with what was measured then; a missing value is an
-/// empty cell.
+/// The lines of a simulated run with the values measured at the same sample times; a missing value is an empty cell.
 fn with_measured(csv: &str, scenario: &Scenario) -> String {
     let cell = |values: &[f64], row: usize| {
         let value = values[row];

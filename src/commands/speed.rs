@@ -37,7 +37,7 @@ use drivebench_model::sample::Channel;
 #[command(after_help = "Examples:
   drivebench speed --headless                            the emulated motor, the reference of the embedded bench
   drivebench speed bench.toml --model model.toml --port /dev/ttyUSB0 --hardware --headless
-  drivebench speed --model model.toml --feed-forward compare    what the model's effects are worth
+  drivebench speed --model model.toml --feed-forward compare    the gain by feed-forward of the model
   drivebench speed --port sim: --emulator zk-22fc-changing --controller pi   fixed gains and a load that changes")]
 pub(super) struct Arguments {
     #[command(flatten)]
@@ -48,11 +48,11 @@ pub(super) struct Arguments {
     /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
     #[arg(long, value_name = "CONTROLLER", value_parser = controller)]
     controller: Option<ControllerKind>,
-    /// off, on, or compare: what motion and the model's effects cost is given as far ahead as it takes to act; compare
-    /// follows the reference twice, without and with, and shows both tracking errors. Overrides the bench file
+    /// off, on, or compare: the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
+    /// loop; compare follows the reference twice, without and with it, and shows both tracking errors. Overrides the bench file
     #[arg(long, value_name = "USE", value_parser = forward_use)]
     feed_forward: Option<ForwardUse>,
-    /// Friction or cogging as measured (`export --torque-map`, CSV), in the place of the model's wherever it has a value;
+    /// Friction or cogging as measured (`export --torque-map`, CSV), instead of the model's wherever it has a value; at most
     /// one of each
     #[arg(long, value_name = "MAP.csv")]
     feed_forward_map: Vec<PathBuf>,
@@ -103,7 +103,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     by_hand::finish(done.screen, recorded, &result, document, form, terminal)
 }
 
-/// Smallest standard deviation that is taken for a speed sample, rad/s: at rest a sensor may show none.
+/// Least standard deviation of a speed sample, rad/s: at rest a sensor may show no noise.
 const LEAST_NOISE_RAD_S: f64 = 0.02;
 
 pub(crate) struct SpeedRequest {
@@ -114,7 +114,7 @@ pub(crate) struct SpeedRequest {
     pub model: Option<PathBuf>,
     pub controller: Option<ControllerKind>,
     pub feed_forward: Option<ForwardUse>,
-    /// Measured torques that are given forward in the place of the model's, as `export --torque-map` writes them.
+    /// Measured torques that are fed forward instead of the model's, as written by `export --torque-map`.
     pub maps: Vec<PathBuf>,
     pub actuator: Option<Actuator>,
 }
@@ -199,7 +199,7 @@ impl LoopParts {
         if bench.motor.is_unknown() && bench.nameplate().is_some() {
             return Err(Failure::usage(
                 "motor.unknown is set: no speed loop is closed around a motor that is not verified",
-                "`drivebench run` finds it from small steps; put what it found into [motor] and take `unknown` out",
+                "`drivebench run` finds it from small steps; write the values that it found into [motor] and remove `unknown`",
             ));
         }
         let motor = nameplate(bench)?;
@@ -218,7 +218,7 @@ impl LoopParts {
             let quadrants = limits.quadrants;
             return Err(Failure::usage(
                 format!(
-                    "the reference goes to {speed} rad/s, and the drive's converter has {quadrants} of 4 quadrants: it goes one way only"
+                    "the reference goes to {speed} rad/s, and the drive's converter has {quadrants} of 4 quadrants: it drives in one direction only"
                 ),
                 "use references that are not negative; see [converter] of the drive's profile",
             ));
@@ -258,7 +258,7 @@ impl LoopParts {
 /// The maps of the files, one of each torque.
 fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> {
     if !paths.is_empty() && used == ForwardUse::Off {
-        let help = "add --feed-forward on, or compare to see what it is worth";
+        let help = "add --feed-forward on, or compare to see both tracking errors";
         return Err(Failure::usage("a feed-forward map is given, and feed-forward is off", help));
     }
     let mut maps: Vec<TorqueMap> = Vec::new();
@@ -305,7 +305,7 @@ pub(crate) fn speed(
         rig.options.terminal.message(&format!("warning: {text}"));
         regulator.reasons.push(text);
     }
-    regulator.reasons.extend(unwatched(&report, parts.actuator));
+    regulator.reasons.extend(unchecked_encoder(&report, parts.actuator));
     regulator.reasons.extend(converter(&parts.limits));
     if rig.options.headless {
         let by_nameplate = request.model.is_none();
@@ -364,7 +364,7 @@ pub(crate) fn speed(
 }
 
 /// Why the speed sensor is not checked against voltage and current.
-fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
+fn unchecked_encoder(report: &CheckReport, actuator: Actuator) -> Option<String> {
     let missing = |channel| !report.signals.contains(&channel);
     let because = match actuator {
         _ if missing(Channel::Current) => "the drive measures no current",
@@ -372,7 +372,9 @@ fn unwatched(report: &CheckReport, actuator: Actuator) -> Option<String> {
         Actuator::Speed => "the drive's own speed loop sets the voltage",
         Actuator::Voltage | Actuator::Current => return None,
     };
-    Some(format!("a broken encoder is noticed by a runaway and the speed limit only: {because}"))
+    Some(format!(
+        "a broken encoder is detected only by the runaway check and the speed limit: {because}"
+    ))
 }
 
 /// Dead time of the converter.
@@ -418,7 +420,9 @@ fn print_loop(
         Some(delay) => {
             format!("{}; measured at rest on {} commands", delay_text(delay), delay.measured)
         }
-        None => "1 cycle is taken: the drive does not report when a command was applied".to_owned(),
+        None => {
+            "1 cycle is assumed: the drive does not report when a command was applied".to_owned()
+        }
     };
     terminal.message(&format!("{:<18} {text}", "loop delay"));
     let controller = regulator.passes.first().map_or("", |(_, first)| first.id());

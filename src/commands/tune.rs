@@ -33,7 +33,7 @@ pub(super) struct Arguments {
     /// Cycles of the loop per second
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate_hz: f64,
-    /// From a sample to the instant at which its answer is applied, in cycles: what `speed` measures on the link
+    /// From a sample to the instant at which the command computed from it is applied, in cycles: as measured by `speed`
     #[arg(long, value_name = "N", default_value_t = 1.0)]
     delay_cycles: f64,
     /// Time constant of the speed's filter in the drive, ms
@@ -45,7 +45,7 @@ pub(super) struct Arguments {
     /// No notch at the frequency of a coupling: for a regulator that has none; the loop is slowed down instead
     #[arg(long)]
     no_notch: bool,
-    /// Print all there is to say; without it what fits 100 columns and 30 lines
+    /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
     full: bool,
     /// Print JSON
@@ -112,9 +112,9 @@ struct TuneResult {
     #[serde(flatten)]
     tuning: Tuning,
     step: Vec<StepPoint>,
-    /// Inertia over the model's between which gains can follow it on line.
+    /// Range of the inertia, relative to the model's, in which gains can be adapted on line.
     adaptation_range: (f64, f64),
-    /// Why it ends below and above, where the rule refuses what lies beyond.
+    /// Why the range ends below and above, where the tuning rule refuses a larger one.
     adaptation_ends: [Option<String>; 2],
     #[serde(skip)]
     history: FileHistory,
@@ -161,8 +161,9 @@ impl TuneResult {
         let margins = [margins_text(margins)].into_iter().chain(drawn);
         document.say("margins", margins, 2);
         let (low, high) = self.adaptation_range;
-        let range =
-            format!("gains can follow an inertia of {low:.2} to {high:.1} times the model's");
+        let range = format!(
+            "gains can be adapted to an inertia of {low:.2} to {high:.1} times the model's"
+        );
         let ends = ["below", "above"].into_iter().zip(&self.adaptation_ends);
         let ends = ends.filter_map(|(side, why)| Some(format!("{side}: {}", why.as_ref()?)));
         document.say("range", [range].into_iter().chain(ends), 2);
@@ -171,7 +172,8 @@ impl TuneResult {
             Some(s) => format!("settles within 5 % in {s:.3} s"),
         };
         let overshoot = response.overshoot_percent;
-        let step = format!("overshoot {overshoot:.1} %, {settling}; linear, no limit is met");
+        let step =
+            format!("overshoot {overshoot:.1} %, {settling}; linear prediction without limits");
         document.say("step", [step], 1);
         // Sixteen lines of the predicted step response.
         let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
@@ -211,27 +213,27 @@ struct KeptMargins {
 }
 
 impl KeptGains {
-    /// Reads gains; those whose loop has other margins on this model than it had where they were tuned are refused.
+    /// Reads gains; refuses them where their margins with this model differ from those at tuning.
     pub(crate) fn read(path: &Path, model: &Model) -> Result<Self, Failure> {
         let name = path.display();
         let kept: Self = serde_json::from_str(&read_text(path)?).map_err(|error| {
             let headline = format!("{name}: not the result of a tuning: {error}");
             Failure::usage(headline, "write it with `drivebench tune --model MODEL.toml --json`")
         })?;
-        let here = LoopShape::new(&plant(model)?, &kept.timing, &kept.gains).margins();
-        let there = &kept.margins;
-        let phase = (here.phase_margin_deg - there.phase_margin_deg).abs();
-        let crossover = (here.crossover_rad_s / there.crossover_rad_s - 1.0).abs();
+        let present = LoopShape::new(&plant(model)?, &kept.timing, &kept.gains).margins();
+        let tuned = &kept.margins;
+        let phase = (present.phase_margin_deg - tuned.phase_margin_deg).abs();
+        let crossover = (present.crossover_rad_s / tuned.crossover_rad_s - 1.0).abs();
         // Rounding of the file, in degrees and as a share.
         if phase <= 1e-3 && crossover <= 1e-3 {
             return Ok(kept);
         }
         let headline = format!(
-            "{name}: gains of another model: the loop has {:.1} degrees of phase margin at {:.1} rad/s there, {:.1} degrees at {:.1} rad/s here",
-            there.phase_margin_deg,
-            there.crossover_rad_s,
-            here.phase_margin_deg,
-            here.crossover_rad_s
+            "{name}: gains of another model: phase margin {:.1} degrees at {:.1} rad/s when tuned, {:.1} degrees at {:.1} rad/s with this model",
+            tuned.phase_margin_deg,
+            tuned.crossover_rad_s,
+            present.phase_margin_deg,
+            present.crossover_rad_s
         );
         let help = "tune this model: `drivebench tune --model MODEL.toml --json`";
         Err(Failure::usage(headline, help))

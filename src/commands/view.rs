@@ -13,11 +13,11 @@ use crate::runtime::output::{self, Terminal};
 use crate::tui::Opens;
 use drivebench_diagnose::ErrorOf;
 
-/// Look at a recorded run on the screen: measured and model over time, where the model fails, and why
+/// Show a recorded run on the screen: measured and model over time, where the model fails, and why
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench view runs/a
-  drivebench view runs/a --model model.toml --holdout runs/b     another run, which the fit has not seen, comes first")]
+  drivebench view runs/a --model model.toml --holdout runs/b     another run, not used in the fit, is shown first")]
 pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
@@ -37,11 +37,11 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let (run, judging) = (&arguments.run, Judging::of(model));
     let mut prepared = arguments.evidence.prepare(run, model, judging, true, terminal)?;
     let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
-    // From here on the screen owns the terminal and the signals.
+    // From here on the screen uses the terminal and handles the signals.
     drop(attended);
-    let standing = show(&prepared, judged.error_of, terminal)?.standing;
-    standing.heading().lines().for_each(|line| terminal.message(line));
-    if let Some(diagnosis) = &standing.diagnosis {
+    let result = show(&prepared, judged.error_of, terminal)?.result;
+    result.heading().lines().for_each(|line| terminal.message(line));
+    if let Some(diagnosis) = &result.diagnosis {
         terminal.message(&words::diagnosis(diagnosis));
     }
     let (run, evidence) = (output::quoted(run), arguments.evidence.words());

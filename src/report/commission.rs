@@ -1,4 +1,4 @@
-//! The report of a commission: what was missing, how the error fell, what the motor is, where the model still fails.
+//! The report of a commissioning: missing effects, fall of the error, parameters, where the model still fails.
 
 use super::traces::{ConfirmRun, model_names, traces};
 use super::wording::{self, diagnosis as words, limits};
@@ -55,7 +55,7 @@ impl CommissionReport<'_> {
         let (nameplate, most) = (self.nameplate, 8);
         tables::parameter_section(&mut document, "motor", nameplate, before, after, most);
         findings::effects(&mut document, found, self.curves);
-        document.section("Model beside measurement");
+        document.section("Model and measurement");
         if let Some(run) = self.series {
             traces(&mut document, run);
         }
@@ -69,7 +69,7 @@ impl CommissionReport<'_> {
         if self.context.target == Target::Emulator && !self.truth.is_empty() {
             document.section("Truth of the emulator");
             document.paragraph(
-                "Known only because the drive is software. The diagnosis did not see it.",
+                "Known only because the drive is software; the diagnosis does not use it.",
             );
             document.say("truth", self.truth.iter().map(String::as_str), 1);
         }
@@ -90,8 +90,8 @@ impl CommissionReport<'_> {
     }
 
     /// What a rung adds to the one above it.
-    fn step_name(&self, place: usize, rung: &Rung) -> String {
-        let above = place.checked_sub(1).and_then(|above| self.ladder.get(above));
+    fn step_name(&self, index: usize, rung: &Rung) -> String {
+        let above = index.checked_sub(1).and_then(|above| self.ladder.get(above));
         let added = above
             .and_then(|above| rung.effects.iter().find(|effect| !above.effects.contains(effect)));
         added.map_or_else(|| rung_name(rung), |effect| format!("+ {effect}"))
@@ -133,29 +133,29 @@ impl CommissionReport<'_> {
         let source = match self.diagnosis.noise_floor_from {
             FloorSource::Standstill => "The noise floor is what the sensors show at rest.",
             FloorSource::Repeat => {
-                "The noise floor is what two runs of the same excitation do not repeat."
+                "The noise floor is the difference of two runs of the same excitation."
             }
             FloorSource::None => {
                 "No noise floor is known: one is the residual of the refitted baseline."
             }
         };
         let from = match self.diagnosis.holdout_from {
-            HoldoutFrom::Run => "a run that the fit has not seen",
-            HoldoutFrom::Split => "the last part of the run, which the fit has not seen",
+            HoldoutFrom::Run => "a run not used in the fit",
+            HoldoutFrom::Split => "the last part of the run, not used in the fit",
         };
         document.paragraph(format!(
             "Error of the free run on {from}, in units of {}. {source}",
             self.unit_of_error()
         ));
         let floor_known = self.diagnosis.noise_floor_from != FloorSource::None;
-        let ladder = self.ladder.iter().enumerate().map(|(place, rung)| {
+        let ladder = self.ladder.iter().enumerate().map(|(index, rung)| {
             let error = rung.holdout_rmse;
-            (self.step_name(place, rung), error, fixed(error, 2))
+            (self.step_name(index, rung), error, fixed(error, 2))
         });
         let caption = if floor_known {
-            "A perfect model of a record without holes ends at the noise floor."
+            "A perfect model of a record without gaps ends at the noise floor."
         } else {
-            "Where a perfect model would end is not known."
+            "The error of a perfect model is not known."
         };
         let unit = format!("held-out error, in units of {}", self.unit_of_error());
         document.bars(
@@ -183,7 +183,7 @@ impl CommissionReport<'_> {
     }
 }
 
-/// How the answer of a diagnosis is to be taken, on pages and screens.
+/// The tone of a diagnosis, on pages and screens.
 pub const fn tone(answer: Answer) -> Tone {
     match answer {
         Answer::Unexplained | Answer::NotFitted => Tone::Bad,

@@ -1,5 +1,5 @@
-//! A model beside a measurement: the page of `compare`, and its blocks, which the page of a commission has too: figures of
-//! each signal, residual lights, balances, and the places where the model fails.
+//! A model compared with a measurement: the page of `compare`, and its blocks, which the page of a commissioning has too:
+//! figures of each signal, residual tests, balances, and where the model fails.
 
 use super::plot::MapChart;
 use super::traces::{ConfirmRun, traces};
@@ -16,9 +16,6 @@ use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fit, fixed, r_min, share, significant};
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Places that are worth a line each.
-const MOST_PLACES: usize = 4;
-
 /// Everything that the page of a comparison is made of.
 #[derive(Clone, Debug)]
 pub struct ComparisonReport<'a> {
@@ -27,13 +24,13 @@ pub struct ComparisonReport<'a> {
     pub comparison: &'a Comparison,
     /// Which model is judged.
     pub model: &'a str,
-    /// Whether something speaks against the hold-out; the notes of the context say what.
+    /// Whether there is an objection to the hold-out; the notes of the context have the reason.
     pub holdout_objected: bool,
     /// Of the model that is compared; may be empty.
     pub parameters: &'a [ParameterEstimate],
     /// The model's free run over what is held out, where there is a voltage.
     pub series: Option<&'a ConfirmRun>,
-    /// What the worse equation lacks along its axis.
+    /// The error of the worse equation over its axis.
     pub curve: Option<&'a EffectCurve>,
 }
 
@@ -43,35 +40,34 @@ impl ComparisonReport<'_> {
         let found = self.comparison;
         let from = match found.holdout_from {
             HoldoutFrom::Run if self.holdout_objected => {
-                "the run that was named to judge by, against which something speaks (see below),"
+                "the given hold-out run, to which there is an objection (see below),"
             }
-            HoldoutFrom::Run => "a run that the fit has not seen",
+            HoldoutFrom::Run => "a run not used in the fit",
             HoldoutFrom::Split => "the last part of the run",
         };
         if let Some(reason) = location::not_fitted(found) {
             let sentence = format!(
-                "{reason}: the model follows {from} no better, and what it leaves says nothing of the machine."
+                "{reason}: the model predicts {from} no better, and its residual is no evidence on the machine."
             );
             return (Tone::Bad, "Not fitted", sentence);
         }
         let fails = found.balances.iter().any(|balance| balance.fails);
-        let (tone, word, rest) = if found.noise_floor_from == FloorSource::None {
-            let rest = "its scale; without a noise floor nobody can say how good that is.";
+        let (tone, verdict, rest) = if found.noise_floor_from == FloorSource::None {
+            let rest = "its scale; without a noise floor this cannot be rated.";
             (Tone::Attention, "No noise floor", rest)
         } else if found.is_at_the_floor() && !fails {
             let rest = "the noise floor: the model explains the run.";
             (Tone::Good, "At the noise floor", rest)
         } else if found.is_at_the_floor() {
-            let rest =
-                "the noise floor, but one of its equations fails: the model misses something.";
+            let rest = "the noise floor, but one of its equations fails: an effect is missing.";
             (Tone::Attention, "An equation fails", rest)
         } else {
-            let rest = "the noise floor: the model misses something.";
+            let rest = "the noise floor: an effect is missing.";
             (Tone::Attention, "Above the noise floor", rest)
         };
         let error = fixed(found.holdout_rmse, 2);
         let sentence = format!("On {from} the error is {error} times {rest}");
-        (tone, word, sentence)
+        (tone, verdict, sentence)
     }
 
     pub fn document(&self) -> Document {
@@ -82,12 +78,12 @@ impl ComparisonReport<'_> {
         document.say("model", [self.model], 1);
         tables::data_notes(&mut document, self.context);
         let models = [("model", Some(self.comparison))];
-        document.section("Model beside measurement");
+        document.section("Model and measurement");
         if let Some(run) = self.series {
             traces(&mut document, run);
         }
         figures(&mut document, &models, HELD_OUT);
-        document.section("What the equations lack");
+        document.section("Errors of the equations");
         if let Some(curve) = self.curve {
             findings::effect_curve(&mut document, curve);
         }
@@ -99,7 +95,7 @@ impl ComparisonReport<'_> {
     }
 }
 
-/// A comparison alone, for a screen: errors, what is left in the residual, where the model fails.
+/// A comparison alone, for a screen: errors, residual tests, where the model fails.
 pub fn comparison_document(comparison: &Comparison) -> Document {
     let mut document = Document::new("", "");
     let models = [("model", Some(comparison))];
@@ -178,20 +174,20 @@ impl SignalFigures {
     }
 }
 
-/// What the speed's figures are of: those of windows must not pass for those of a free run.
+/// The speed, with the length of the windows where its figures are not those of the free run.
 fn speed_name(signals: &Signals) -> String {
     let length_s = signals.speed_windows_s;
     length_s.map_or_else(|| "speed".to_owned(), |length_s| format!("speed ({length_s} s windows)"))
 }
 
-/// What adding or removing an effect did: before and after; what goes on from here is for the command to say.
+/// Result of adding or removing an effect: before and after; the command adds the next commands.
 pub fn change_document(result: &AddResult) -> Document {
     let (tone, verdict) = match (result.forced, result.accepted) {
         (true, _) => (Tone::Attention, "Forced"),
         (false, true) => (Tone::Good, "Accepted"),
         (false, false) => (Tone::Attention, "Refused"),
     };
-    // Of an effect that was taken out, or taken in by force, neither size nor cause is told as if it were there.
+    // Cause and remedy are those of an effect that was added without force.
     let is_found = result.accepted && !result.forced && result.fit.model.has(result.effect);
     let mut document = Document::of(tone, verdict, change::change(result));
     let ladder = result.ladder.iter().zip(["before", "after"]);
@@ -228,7 +224,7 @@ pub(super) type Heads = [&'static str; 2];
 pub(super) const HELD_OUT: Heads = ["held-out fit", "held-out rms error"];
 pub(super) const CONFIRMING: Heads = ["confirming fit", "confirming rms error"];
 
-/// Fit and error of every signal, what is left in the residual, and its lights.
+/// Fit and error of every signal, and the tests of its residual.
 pub(super) fn figures(
     document: &mut Document,
     comparisons: &[Named<'_>],
@@ -250,8 +246,8 @@ pub(super) fn figures(
         rows.extend(figures.map(|figures| (*label, figures)));
     }
     // Each signal under one model after the other.
-    let place = |signal| ["speed", "current"].iter().position(|one| *one == signal);
-    rows.sort_by_key(|(_, row)| place(row.signal).unwrap_or(2));
+    let order = |signal| ["speed", "current"].iter().position(|known| *known == signal);
+    rows.sort_by_key(|(_, row)| order(row.signal).unwrap_or(2));
     let or = |value: Option<f64>, row: &SignalFigures, word: &str| {
         value.map_or_else(|| Cell::text(word), |value| row.cell(value))
     };
@@ -268,9 +264,9 @@ pub(super) fn figures(
         .column("training rms error", |(_, row)| row.cell(row.rmse))
         .column("one-step rms error", |(_, row)| or(row.one_step_rmse, row, "-"));
     document.table_on_card("errors", table, SPARE, 2);
-    for (place, (label, comparison)) in known.iter().enumerate() {
+    for (index, (label, comparison)) in known.iter().enumerate() {
         let sentence = residual::residual(&comparison.residual);
-        let least = usize::from(place + 1 == known.len());
+        let least = usize::from(index + 1 == known.len());
         let model = label_of(&known, label);
         document.say("residual", [format!("{model}{sentence}")], least);
     }
@@ -279,7 +275,7 @@ pub(super) fn figures(
     lights(document, &known);
 }
 
-/// The residual lights of each model, in multiples of their 99 % band.
+/// The residual tests of each model, in multiples of their 99 % band.
 fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
     let of_model = |(label, own): &(&'static str, &Comparison)| {
         let label = *label;
@@ -291,18 +287,18 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
         return;
     }
     document.paragraph(
-        "Residual lights, lags 0 to 25: the largest correlation over its 99 % band. A right model stays near 1; a wrong one \
+        "Residual tests, lags 0 to 25: the largest correlation over its 99 % band. A right model stays near 1; a wrong one \
          shows 18 to 42 in the first column.",
     );
     let heads = ["whiteness", "input", "input squared", "squares", "error x input"];
     let table = Table::of(rows)
         .column("signal", |(signal, ..)| *signal)
         .column("model", |(_, label, _)| *label);
-    let table = heads.into_iter().enumerate().fold(table, |table, (place, head)| {
+    let table = heads.into_iter().enumerate().fold(table, |table, (index, head)| {
         table.column(head, |(_, _, lights)| {
-            let light = lights.each()[place];
-            let word = if light.passes { "ok" } else { "outside" };
-            format!("{} {word}", significant(light.largest_over_band, 2))
+            let light = lights.each()[index];
+            let verdict = if light.passes { "ok" } else { "outside" };
+            format!("{} {verdict}", significant(light.largest_over_band, 2))
         })
     });
     document.table(table.column("Ljung-Box (of 99 % limit)", |(_, _, lights)| {
@@ -321,8 +317,8 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
     document.section("Where the model fails");
     let known = comparisons.iter();
     let known: Vec<_> = known.filter_map(|(label, own)| Some((*label, (*own)?))).collect();
-    for (place, (label, comparison)) in known.iter().enumerate() {
-        let is_last = place + 1 == known.len();
+    for (index, (label, comparison)) in known.iter().enumerate() {
+        let is_last = index + 1 == known.len();
         let mut say = |label: &str, sentences: Vec<String>, least| {
             if is_last {
                 document.say(label, sentences, least);
@@ -332,11 +328,11 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
         };
         let (place, places) = comparison.where_it_fails();
         let first = comparison.locations.first().filter(|_| place == Where::First);
-        let along = first.and_then(along_r_min).unwrap_or_default();
+        let in_r_min = first.and_then(range_in_r_min).unwrap_or_default();
         let sentence = location::failure(comparison);
         let model = label_of(&known, label);
-        say("where", vec![format!("{model}{sentence}{along}")], 1);
-        let places = places.iter().take(MOST_PLACES);
+        say("where", vec![format!("{model}{sentence}{in_r_min}")], 1);
+        let places = places.iter().take(4);
         say("", places.map(self::place).collect(), 0);
         let balances = comparison.balances.iter();
         say(
@@ -350,20 +346,20 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
     }
 }
 
-/// A place's sentence, with r/min where it lies along the speed.
+/// The sentence of a place, with r/min where it is a range of the speed.
 fn place(found: &FailureLocation) -> String {
-    capitalised(&location::location(found)) + &along_r_min(found).unwrap_or_default()
+    capitalised(&location::location(found)) + &range_in_r_min(found).unwrap_or_default()
 }
 
-/// Behind the sentence of a place along the speed.
-fn along_r_min(location: &FailureLocation) -> Option<String> {
+/// The range in r/min, for the end of the sentence of a place.
+fn range_in_r_min(location: &FailureLocation) -> Option<String> {
     (location.variable == "speed_rad_s").then(|| {
         let from = significant(rpm_from_rad_s(location.from), 3);
         format!(" [{from} to {}]", r_min(location.to))
     })
 }
 
-/// What each equation lacks, with its share of the error.
+/// The error of each equation, with its share of the whole error.
 fn balances(document: &mut Document, comparison: &Comparison) {
     let known = |value: Option<f64>| {
         value.map_or_else(|| "not known".to_owned(), |value| significant(value, 3))
@@ -372,7 +368,7 @@ fn balances(document: &mut Document, comparison: &Comparison) {
     document.table(
         Table::of(&comparison.balances)
             .column("equation", |own| own.equation)
-            .column("what it lacks, rms", |own| format!("{} {}", significant(own.rms, 3), own.unit))
+            .column("error, rms", |own| format!("{} {}", significant(own.rms, 3), own.unit))
             .column("times its noise", |own| known(own.nres))
             .column("with its values free", |own| known(own.nres_refitted))
             .column("share of the error", |own| part(own.share_of_error))
@@ -384,7 +380,7 @@ fn balances(document: &mut Document, comparison: &Comparison) {
     );
 }
 
-/// The same in ten sizes from nothing to its largest error, with its sign, a dot where the run never was.
+/// The map in characters: ten steps up to its largest error, with its sign, a dot where there is no data.
 fn map_in_digits(comparison: &Comparison) -> Vec<String> {
     let Some((map, worst)) = comparison.map.as_ref().zip(comparison.failing()) else {
         return Vec::new();
@@ -395,7 +391,7 @@ fn map_in_digits(comparison: &Comparison) -> Vec<String> {
     }
     let (equation, nine, unit) = (worst.equation, significant(largest, 3), worst.unit);
     let head = format!(
-        "{equation} error over speed and current: 9 model too low by {nine} {unit}, i too high, ░▒▓ both, . never there"
+        "{equation} error over speed and current: 9 model too low by {nine} {unit}, i too high, ░▒▓ both signs, . no data"
     );
     let mut lines = vec![String::new(), head];
     lines.extend(rows.iter().map(|(middle, digits)| {
@@ -427,8 +423,8 @@ fn map(document: &mut Document, comparison: &Comparison) {
             chart.svg("error of the model over speed and current")
         },
         format!(
-            "Root mean square of what the {equation} equation lacks, over speed and current, on the held-out run. Where there is no \
-             cell the run never was."
+            "Root mean square error of the {equation} equation over speed and current, on the held-out run. Where there is no cell \
+            there is no data."
         ),
         map_in_digits(comparison),
     );

@@ -50,14 +50,14 @@ pub fn of(parameters: &[ParameterEstimate]) -> Vec<Converted> {
     converted.collect()
 }
 
-/// Inertia and load torque seen from the load side of a gearbox that turns the motor `ratio` times per turn of the load.
+/// Inertia and load torque referred to the load side of a gearbox that turns the motor `ratio` times per turn of the load.
 pub fn on_load_shaft(parameters: &[ParameterEstimate], ratio: f64) -> Vec<ParameterEstimate> {
     let factor = |key: &str| match MotorKey::from_key(key) {
         Some(MotorKey::Inertia) => Some(ratio * ratio),
         Some(MotorKey::LoadTorque) => Some(ratio),
         _ => None,
     };
-    let seen = |parameter: &ParameterEstimate| {
+    let referred = |parameter: &ParameterEstimate| {
         let factor = factor(&parameter.key)?;
         Some(ParameterEstimate {
             value: parameter.value.map(|value| factor * value),
@@ -65,7 +65,7 @@ pub fn on_load_shaft(parameters: &[ParameterEstimate], ratio: f64) -> Vec<Parame
             ..parameter.clone()
         })
     };
-    parameters.iter().filter_map(seen).collect()
+    parameters.iter().filter_map(referred).collect()
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use super::Facts;
 use super::plot::Plot;
 use super::table::Table;
 
-/// How a statement is to be taken; shown by a word and a mark, the colour only repeats it.
+/// The rating of a statement; shown by a text and a mark, the colour only repeats it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Tone {
     Good,
@@ -16,7 +16,7 @@ pub enum Tone {
     Plain,
 }
 
-/// The verdict in a word or two, and the sentence that answers the reader's question.
+/// The verdict in a word or two, and the sentence of the result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Lead {
     pub(super) tone: Tone,
@@ -66,7 +66,7 @@ pub(super) enum Content {
     Facts(Facts),
     Table {
         table: Table,
-        /// Columns that a narrow terminal goes without, the first first.
+        /// Columns that are left out on a narrow terminal, in this order.
         spare: &'static [&'static str],
     },
     Bars(Bars),
@@ -110,7 +110,7 @@ pub struct Document {
     pub(super) blocks: Vec<Block>,
     pub(super) commands: Vec<String>,
     pub(super) page: Option<String>,
-    /// What has the entries that a card leaves out.
+    /// Where the entries are that a card leaves out.
     pub(super) rest: &'static str,
 }
 
@@ -150,14 +150,10 @@ impl Document {
 
     /// A heading; one with nothing below it is left out.
     pub fn section(&mut self, heading: impl Into<String>) {
-        self.drop_empty_heading();
-        self.push(Content::Heading(heading.into()));
-    }
-
-    fn drop_empty_heading(&mut self) {
         if let Some(Content::Heading(_)) = self.blocks.last().map(|block| &block.content) {
             self.blocks.pop();
         }
+        self.push(Content::Heading(heading.into()));
     }
 
     pub fn paragraph(&mut self, text: impl Into<String>) {
@@ -273,8 +269,8 @@ impl Document {
         self.page = Some(page.into());
     }
 
-    /// The command with `--full` would turn the motor again: what a card leaves out stands on the page.
-    pub fn is_of_a_motion(&mut self) {
+    /// What a card leaves out is on the page: the command with `--full` would turn the motor again.
+    pub fn rest_is_on_page(&mut self) {
         self.rest = "the page below";
     }
 

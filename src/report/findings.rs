@@ -11,7 +11,7 @@ use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fixed, probability, share, significant};
 
-/// Pictures of curves that an error follows, at most.
+/// Most pictures of axis maps.
 const MOST_CURVES: usize = 3;
 
 /// Card and curve of each effect that was named; where none was, the curve of the error.
@@ -19,13 +19,13 @@ pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[
     let named = diagnosis.effects.iter();
     let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
-        document.section("What the equations lack");
+        document.section("Errors of the equations");
         curves.iter().take(1).for_each(|curve| effect_curve(document, curve));
     }
-    document.section("What was found");
-    for (place, effect) in named.into_iter().enumerate() {
+    document.section("Effects found");
+    for (index, effect) in named.into_iter().enumerate() {
         let card = effect.card();
-        let (name, least) = (capitalised(card.name), usize::from(place == 0));
+        let (name, least) = (capitalised(card.name), usize::from(index == 0));
         document.paragraph(format!("{name} ({}): {}", card.id, card.equation));
         document.say("cause", [format!("{}: {}", card.name, card.causes)], least);
         document.labelled("signature", [card.looks_like]);
@@ -46,7 +46,7 @@ pub fn card_facts(document: &mut Document, card: &effect::Card) {
     document.labelled("remedy", [card.remedy]);
 }
 
-/// An effect for a screen that shows nothing else, with what the runs say of it where they are judged.
+/// The page of one effect on a screen, with its findings where the runs are judged.
 pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Document {
     let card = effect.card();
     let mut document = Document::new(format!("{} ({})", card.name, card.id), "");
@@ -59,16 +59,16 @@ pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Docum
             format!("{}{reason}, 95 % interval", size(parameter))
         });
         document.labelled("size", sizes.chain(candidate::at_most(own)));
-        document.labelled("visible", candidate::seen_from(own));
+        document.labelled("", candidate::detectable_from(own));
         let peaks = own.reached.iter().flat_map(Reached::peaks);
         document.labelled("reached", peaks.map(|peak| candidate::peak(&peak, TWO_SIDED_95)));
         let is_named = !own.parameters.is_empty();
         document.labelled("intervals", candidate::widened(own).filter(|_| is_named));
-        let there = probability(own.probability);
+        let percent = probability(own.probability);
         let training = own.error_after.map_or_else(String::new, |after| {
             format!("; training error {:.2} -> {after:.2}", own.error_before)
         });
-        document.labelled("rank", [format!("{}; there with {there}{training}", own.rank)]);
+        document.labelled("rank", [format!("{}; probability {percent}{training}", own.rank)]);
     }
     card_facts(&mut document, card);
     document
@@ -77,7 +77,7 @@ pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Docum
 /// Effects of a list that are shown, at most.
 const MOST_LISTED: usize = 4;
 
-/// What may be there besides what was named, what is ruled out, and what the runs did not show.
+/// Effects besides the named ones: possible, ruled out, and not shown by the runs.
 pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     document.section("Other effects");
     let unnamed = diagnosis.candidates.iter();
@@ -85,7 +85,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     let rivals = unnamed.clone().filter_map(|own| {
         let other = own.as_good_as?;
         Some(format!(
-            "{} explains as much as {other}; these runs cannot tell them apart",
+            "{} explains as much as {other}; these runs do not distinguish them",
             own.effect
         ))
     });
@@ -95,7 +95,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     };
     let pairs = diagnosis.confusable.iter();
     let pairs = pairs.filter(|[one, other]| !is_paired(one, other) && !is_paired(other, one));
-    let pairs = pairs.map(|[one, other]| not_told_apart(one, other));
+    let pairs = pairs.map(|[one, other]| not_distinguished(one, other));
     document.say("rival", rivals.chain(pairs), 1);
     let with = |status: Status| {
         let of_status = unnamed.clone().filter(move |own| own.status == status);
@@ -109,10 +109,11 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     document.say("possible", listed(possible), 1);
     let id = |own: &Candidate| own.effect.to_owned();
     let not_borne_out = with(Status::Possible).filter(|own| own.is_not_borne_out());
-    let not_borne_out = listed(not_borne_out.map(id))
-        .map(|names| format!("{names}: likely beside the others, but not borne out by a refit"));
+    let not_borne_out = listed(not_borne_out.map(id)).map(|names| {
+        format!("{names}: likely together with the others, but not confirmed by a refit")
+    });
     document.say("not named", not_borne_out, 1);
-    // What is ruled out is a size.
+    // A size is ruled out, not the effect.
     let ruled_out = with(Status::RuledOut).map(|own| match candidate::at_most(own) {
         Some(most) => format!("{} ({most})", own.effect),
         None => id(own),
@@ -124,26 +125,26 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     document.say("unknown", diagnosis.unknown.iter().map(words::unknown), 1);
 }
 
-fn not_told_apart(one: &str, other: &str) -> String {
-    format!("{one} and {other} cannot be told apart by these runs")
+fn not_distinguished(one: &str, other: &str) -> String {
+    format!("{one} and {other} cannot be distinguished by these runs")
 }
 
-/// What these runs do not tell, and the run that would, or why there is `none`.
+/// Open questions, and the recommended run, or why there is `none`.
 pub fn open_questions(
     diagnosis: &Diagnosis,
     next: Option<&NextExperiment>,
     none: Option<&str>,
 ) -> Document {
-    let mut document = Document::new("what these runs do not tell", "");
+    let mut document = Document::new("open questions", "");
     let pairs = diagnosis.confusable.iter();
-    document.labelled("rival", pairs.map(|[one, other]| not_told_apart(one, other)));
+    document.labelled("rival", pairs.map(|[one, other]| not_distinguished(one, other)));
     document.labelled("limit", diagnosis.limits.iter().map(limits::limit));
     document.labelled("by no run", diagnosis.equivalences.iter().copied());
     let curves = diagnosis.axis_map.iter().map(location::axis_map);
     document.labelled("the error", curves);
     next_run(&mut document, next);
     let is_empty =
-        document.blocks.is_empty().then_some("none is asked for: these runs tell what they can");
+        document.blocks.is_empty().then_some("none is needed: no further run would show more");
     document.labelled("next run", none.or(is_empty));
     document
 }
@@ -160,7 +161,7 @@ fn listed(names: impl Iterator<Item = String>) -> Option<String> {
     }
 }
 
-/// What an equation lacks along its axis, the effect drawn through the points, and what it lacks with the effect.
+/// The error of an equation over its axis with the curve of the effect, and the error with the effect.
 pub(super) fn effect_curve(document: &mut Document, curve: &EffectCurve) {
     let why = location::why_axis(curve);
     let why = why.map_or_else(String::new, |why| format!(" {}.", capitalised(&why)));
@@ -183,7 +184,7 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
         drawn,
         points: (points.iter().map(|p| Place::new(p.at, p.mean, p.std))).collect(),
     };
-    // Where no effect is drawn there is nothing that the points are without.
+    // Without an effect the points have no label.
     let (line, sets) = match curve.effect {
         _ if curve.is_unexplained() => {
             let knots = of("", Style::After, Drawn::Knots, &curve.points);
@@ -219,9 +220,9 @@ pub fn curve_picture(curve: &EffectCurve) -> String {
     curve_chart(curve).svg(&description)
 }
 
-/// The curves that an unexplained error follows.
+/// The axis maps of an unexplained error.
 pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
-    document.section("What the error follows");
+    document.section("Axis maps of the error");
     let is_followed = |map: &&AxisMap| map.is_followed() && map.knots.len() > 1;
     let (followed, rest): (Vec<&AxisMap>, Vec<&AxisMap>) =
         diagnosis.axis_map.iter().partition(is_followed);
@@ -243,7 +244,7 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
     document.list(others.map(sentence));
     if is_any {
         document.paragraph(
-            "No effect of the catalogue explains these curves. The clearest can be added as it is, with the command drivebench add table, so that the \
+            "No effect of the catalogue explains these curves. The clearest can be added as a table, with the command drivebench add table, so that the \
              error falls while its cause is looked for.",
         );
     }
@@ -252,7 +253,8 @@ pub(super) fn curves(document: &mut Document, diagnosis: &Diagnosis) {
 /// Every effect that was tried: status, error, share, size with interval, what it reached.
 pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
     document.section("Effects that were tried");
-    let mut named = diagnosis.candidates.iter().filter(|c| has_paid(c) && !c.parameters.is_empty());
+    let mut named =
+        diagnosis.candidates.iter().filter(|c| lowers_error(c) && !c.parameters.is_empty());
     if let Some(words) = named.find_map(candidate::widened) {
         document.paragraph(format!("Intervals of sizes: {words}."));
     }
@@ -284,16 +286,16 @@ pub(super) fn candidates(document: &mut Document, diagnosis: &Diagnosis) {
     );
 }
 
-const fn has_paid(candidate: &Candidate) -> bool {
+const fn lowers_error(candidate: &Candidate) -> bool {
     matches!(candidate.status, Status::Supported | Status::Possible)
 }
 
-/// Sizes of an effect that pays, and what they reached; of another the evidence says what would have been seen.
+/// Sizes of an effect that lowers the error, and their peaks; for another the evidence has its detectable size.
 fn sizes(own: &Candidate) -> Option<String> {
     let peaks = own.reached.iter().flat_map(Reached::peaks);
     let peaks = peaks.map(|peak| candidate::peak(&peak, TWO_SIDED_95));
     let sizes: Vec<String> = own.parameters.iter().map(size).chain(peaks).collect();
-    (has_paid(own) && !sizes.is_empty()).then(|| sizes.join("; "))
+    (lowers_error(own) && !sizes.is_empty()).then(|| sizes.join("; "))
 }
 
 /// Key, value with its 95 % interval, unit.
@@ -302,29 +304,29 @@ fn size(parameter: &ParameterEstimate) -> String {
     format!("{key} {}", parameter.text(TWO_SIDED_95))
 }
 
-/// The run that would tell more, among all that the limits allow.
+/// The recommended run, and the menu of runs within the limits.
 pub(super) fn next_run(document: &mut Document, next: Option<&NextExperiment>) {
     let Some(next) = next else { return };
     document.say("next run", [run_words::next_run(next)], 1);
     if next.menu.is_empty() {
         return;
     }
-    // A run for a pair tells the two apart; another one shows effects that no run in hand would have shown.
+    // A run for a pair distinguishes the two; another one shows effects that the present runs would not have shown.
     let [what, figure, from, yes, no] = if next.pair.is_some() {
         [
-            "the separation that is expected of it, and from which on that run tells",
+            "its expected separation, and the separation that distinguishes the pair",
             "expected separation",
-            "tells from",
-            "tells",
+            "needed",
+            "distinguishes",
             "does not",
         ]
     } else {
         [
-            "the precision that is foreseen of the effect which it shows best, and from which on that is promised",
-            "foreseen precision",
-            "promised from",
+            "the expected precision of the effect that it shows best, and the precision that is needed",
+            "expected precision",
+            "needed",
             "shows at least one",
-            "promises none",
+            "shows none",
         ]
     };
     document.paragraph(format!("Every run that the limits allow, with {what}."));

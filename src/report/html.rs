@@ -6,7 +6,7 @@ use super::document::{Block, Content, Document, Tone};
 use super::plot::{self, bars};
 use super::table::{Table, is_number, padded};
 
-/// What is about the pictures, whose own style gives the colours; narrow and printed.
+/// Style of the page around the pictures, whose own style has the colours; also for narrow screens and print.
 const STYLE: &str = include_str!("page.css");
 /// Zoom, pan, legend and a cursor with values for the plots; the page is complete without it.
 const SCRIPT: &str = include_str!("page.js");
@@ -117,7 +117,7 @@ fn html(block: &Block) -> String {
             };
             let thinned = plot.thinned.as_ref().map_or_else(String::new, |column| {
                 format!(
-                    " Looked at closely, each {column} has its first, lowest, highest and last value."
+                    " When zoomed, each {column} has its first, lowest, highest and last value."
                 )
             });
             figure(&plot.svg, &points, &format!("{caption}{thinned}"))

@@ -1,4 +1,4 @@
-//! Results as documents, and what prints them: pages that need nothing but themselves, Markdown, and text for a terminal.
+//! Results as documents, and their output: self-contained pages, Markdown, and text for a terminal.
 //!
 //! ```text
 //! CommissionReport, ComparisonReport, RunReport, commands --> Document (headline, facts, tables, charts, lists, commands)
@@ -8,8 +8,8 @@
 //! scenario, trajectories --> plot (ticks, decimation, gaps) --> SVG figure in the page
 //! ```
 //!
-//! All forms come from the same [`Document`], so they cannot say different things. No estimate is printed without its
-//! standard deviation and verdict ([`drivebench_model::text::number`]); a value that is missing is a gap or a word, never a zero and
+//! All forms come from the same [`Document`], so that they agree. No estimate is printed without its
+//! standard deviation and verdict ([`drivebench_model::text::number`]); a value that is missing is a gap or a text, never a zero and
 //! never NaN.
 
 pub mod commission;
@@ -41,7 +41,7 @@ pub use traces::ConfirmRun;
 pub const SAFETY_NOTICE: &str = "A stop over a serial line or a network is not a safety function. Have a wired STO or \
                                  emergency stop within reach whenever the motor can turn.";
 
-/// What was at the far end of the wire.
+/// The kind of the drive.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Target {
     Emulator,
@@ -77,7 +77,7 @@ pub struct Context {
     pub link: Facts,
     pub seed: Option<u64>,
     pub versions: Facts,
-    /// Holes, set-aside runs and what else is to be known of the data.
+    /// Gaps, set-aside runs and other notes on the data.
     pub notes: Vec<String>,
     pub rows_dropped: usize,
 }

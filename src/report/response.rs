@@ -1,4 +1,4 @@
-//! The frequency response of a pathway as a chart: magnitude, phase and coherence, the model's beside the measured.
+//! The frequency response of a pathway as a chart: magnitude, phase and coherence of measurement and model.
 
 use super::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style};
 use drivebench_identify::frequency_response::{
@@ -6,7 +6,7 @@ use drivebench_identify::frequency_response::{
 };
 use drivebench_model::text::number::significant;
 
-/// Where a point stands in a panel.
+/// The position of a point in a panel.
 type Of = fn(&ResponsePoint) -> Place;
 
 fn magnitude_db(point: &ResponsePoint) -> Place {
@@ -32,12 +32,12 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
     let bands = own.bands_hz();
     let first_hz = bands.first().map_or(f64::INFINITY, |band| band.0);
     let last_hz = bands.last().map_or(0.0, |band| band.1);
-    let beside = compared.model.as_ref().and_then(|model| model.of(pathway));
+    let predicted = compared.model.as_ref().and_then(|model| model.of(pathway));
     let set = |of: &PathwayResponse, label: &str, style, drawn, place: Of| {
         let is_shown = |point: &ResponsePoint| match (style, drawn) {
             (_, Drawn::Faint) => !point.is_carried,
             (Style::Measured, _) => point.is_carried,
-            // Beyond what was measured the model has nothing to be compared with.
+            // Outside the carried bands there is nothing to compare the model with.
             _ => point.is_carried && (first_hz..=last_hz).contains(&point.frequency_hz),
         };
         let points = of.points.iter().map(|point| {
@@ -47,13 +47,13 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
         PointSet { label: label.to_owned(), style, drawn, points: points.collect() }
     };
     let panel =
-        |title: String, height, place: Of, holds: &[f64], beside: Option<&PathwayResponse>| {
+        |title: String, height, place: Of, holds: &[f64], predicted: Option<&PathwayResponse>| {
             let mut sets = vec![
                 set(own, "", Style::Measured, Drawn::Faint, place),
                 set(own, "measured", Style::Measured, Drawn::Curve, place),
             ];
             sets.extend(
-                beside.map(|model| set(model, "model", Style::Before, Drawn::Curve, place)),
+                predicted.map(|model| set(model, "model", Style::Before, Drawn::Curve, place)),
             );
             AxisPanel { title, height, holds: holds.to_vec(), sets, ..AxisPanel::default() }
         };
@@ -68,8 +68,8 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
         axis: "frequency, Hz".to_owned(),
         is_logarithmic: true,
         panels: vec![
-            panel(magnitude, 180.0, magnitude_db, &[], beside),
-            panel("phase, degrees".to_owned(), 140.0, phase_deg, &[], beside),
+            panel(magnitude, 180.0, magnitude_db, &[], predicted),
+            panel("phase, degrees".to_owned(), 140.0, phase_deg, &[], predicted),
             panel(coherent, 100.0, coherence, &[0.0, 1.0], None),
         ],
         marks: modes.map(|mode| (name(&mode), mode.frequency_hz)).collect(),

@@ -1,4 +1,4 @@
-//! The report of one plain run: what was recorded, what was identified on the way, how the link did, why it ended.
+//! The report of one run: recorded signals, on-line estimates, timing and link, why it ended.
 
 use std::ops::Range;
 
@@ -18,9 +18,9 @@ pub struct RunReport<'a> {
     /// Estimates at the end of the run; may be empty.
     pub parameters: &'a [ParameterEstimate],
     pub timing: &'a Facts,
-    /// Why the run did not go to its end, if it did not.
+    /// Why the run was not completed, if it was not.
     pub early_end: Option<EarlyEnd>,
-    /// What came last, where it ended by a trip or a lost link.
+    /// The last seconds, where it ended by a trip or a lost link.
     pub last_seconds: Option<LastSeconds>,
     pub speed_loop: Option<&'a Document>,
 }
@@ -62,9 +62,12 @@ impl RunReport<'_> {
             None if run.rows_dropped > 0 => document.lead(
                 Tone::Attention,
                 "Incomplete",
-                format!("{rows}; {} torn or unreadable rows were left out.", run.rows_dropped),
+                format!(
+                    "{rows}; {} incomplete or unreadable rows were left out.",
+                    run.rows_dropped
+                ),
             ),
-            None => document.lead(Tone::Good, "Recorded", format!("{rows}, to its end.")),
+            None => document.lead(Tone::Good, "Recorded", format!("{rows}, complete.")),
         }
         document.section("Signals");
         let panels = panels(run, time_s.first().copied().unwrap_or(0.0));
@@ -130,7 +133,7 @@ const fn origin(origin: Origin) -> &'static str {
     }
 }
 
-/// The stretch in which it came to the trip, every sample of it, and how near the limits were.
+/// The time before the trip, every sample of it, and how near the limits were.
 fn last_seconds(document: &mut Document, run: &Run, last: &LastSeconds) {
     let rows = last.rows.start..last.rows.end.min(run.rows());
     let Some(part) = part(run, rows.clone()).filter(|part| part.rows() > 0) else {
@@ -215,7 +218,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_trip_is_the_first_thing_that_is_said() {
+    fn a_trip_is_the_headline() {
         let mut run = Run::new("r", (0..50).map(|k| 0.01 * f64::from(k)).collect()).unwrap();
         let speed = |k| if k == 20 { f64::NAN } else { f64::from(k) };
         for (channel, cells) in

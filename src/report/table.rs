@@ -156,7 +156,7 @@ pub(super) fn padded(row: &[Cell], width: usize) -> impl Iterator<Item = Cell> +
     row.iter().cloned().chain(std::iter::repeat_with(Cell::default)).take(width)
 }
 
-/// Whether a cell is to be kept on one line: it begins like a number.
+/// Whether a cell begins like a number, and is kept on one line.
 pub(super) fn is_number(text: &str) -> bool {
     text.trim_start_matches(['-', '(', '+']).starts_with(|c: char| c.is_ascii_digit())
         && text.len() < 40

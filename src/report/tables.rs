@@ -15,10 +15,6 @@ fn given(nameplate: Option<&Model>, key: &str) -> Option<f64> {
     model.get(&slot)
 }
 
-fn given_in_words(nameplate: Option<&Model>, key: &str) -> String {
-    given(nameplate, key).map_or_else(|| "-".to_owned(), |v| number::significant(v, 4))
-}
-
 /// Parameters side by side, in the order of `after`; `before` may be empty. An effect's parameter goes by its own key where
 /// no other one has it.
 fn parameters(
@@ -47,7 +43,9 @@ fn parameters(
         .column("parameter", |key| shown(key))
         .column("unit", |key| unit(key));
     if nameplate.is_some() {
-        table = table.column("nameplate", |key| given_in_words(nameplate, key));
+        table = table.column("nameplate", |key| {
+            given(nameplate, key).map_or_else(|| "-".to_owned(), |v| number::significant(v, 4))
+        });
     }
     let models: &[_] = if before.is_empty() {
         &[("found ± std", "verdict", after)]
@@ -64,7 +62,7 @@ fn parameters(
     table.into()
 }
 
-/// What a narrow terminal leaves out of it, the first first.
+/// Columns that are left out on a narrow terminal, in this order.
 const SPARE: &[&str] = &["verdict before", "unit", "nameplate", "before ± std"];
 
 fn short_key(key: &str) -> &str {
@@ -83,7 +81,7 @@ fn estimate(parameter: Option<&ParameterEstimate>, nameplate: Option<f64>) -> [C
         && parameter.verdict != drivebench_model::sample::Verdict::Fixed
     {
         let difference = number::fixed(100.0 * (found / given - 1.0), 1);
-        value = value.with_note(format!("{difference} % off the nameplate"));
+        value = value.with_note(format!("{difference} % from the nameplate"));
     }
     [value, Cell::text(parameter.verdict.name())]
 }
@@ -110,13 +108,13 @@ pub(crate) fn parameter_section(
 }
 
 /// Whether the nameplate fits, what differs and why; the values that fit are not on the card.
-pub(crate) fn plate(document: &mut Document, plate: Option<&Comparison>) {
-    let Some(plate) = plate else { return };
-    let differences = plate.differences().map(nameplate::row);
-    let causes = plate.causes.iter().map(|own| format!("likely: {}", nameplate::cause(own)));
-    let verdict = std::iter::once(nameplate::nameplate(plate));
+pub(crate) fn nameplate_section(document: &mut Document, nameplate: Option<&Comparison>) {
+    let Some(nameplate) = nameplate else { return };
+    let differences = nameplate.differences().map(nameplate::row);
+    let causes = nameplate.causes.iter().map(|own| format!("likely: {}", nameplate::cause(own)));
+    let verdict = std::iter::once(nameplate::nameplate(nameplate));
     document.say("plate", verdict.chain(differences).chain(causes), 1);
-    let others = plate.rows.iter().filter(|row| row.fits != Fits::No);
+    let others = nameplate.rows.iter().filter(|row| row.fits != Fits::No);
     document.labelled("", others.map(nameplate::row));
 }
 
@@ -127,17 +125,17 @@ pub(super) fn about(document: &mut Document, context: &Context) {
         fact.map(|(_, value)| value.trim()).unwrap_or_default()
     };
     let drive = drive_name(identity("vendor"), identity("product"));
-    let told = |text: &str| if text.is_empty() { "not told" } else { text }.to_owned();
+    let stated = |text: &str| if text.is_empty() { "not stated" } else { text }.to_owned();
     let facts = [
         ("date", context.date.as_str()),
         ("drive", &drive),
         ("serial number", identity("serial number")),
         ("motor", &context.motor),
     ];
-    document.about(facts.map(|(label, value)| (label.to_owned(), told(value))).into());
+    document.about(facts.map(|(label, value)| (label.to_owned(), stated(value))).into());
 }
 
-/// What is to be known of the data before any figure is believed; nothing where there is nothing.
+/// Notes on the data, before the figures; nothing where there is none.
 pub(super) fn data_notes(document: &mut Document, context: &Context) {
     let mut notes = context.notes.clone();
     if context.rows_dropped > 0 {

@@ -2,7 +2,7 @@
 //! commands that follow, and last the page.
 //!
 //! ```text
-//! Document --card--> at most COLUMNS x LINES: long lists are cut to their most important rows, which is said
+//! Document --card--> at most COLUMNS x LINES: long lists are cut to their most important rows, with a note
 //!           |-rows-> all that is meant for a card, for a screen that scrolls
 //!           '-full-> everything but the pictures
 //! ```
@@ -16,14 +16,14 @@ use drivebench_model::text::lines::{cut, wrapped};
 pub const COLUMNS: usize = 100;
 pub const LINES: usize = 30;
 
-/// Column in which what stands behind a label begins; in a narrower card a label has a line of its own.
+/// Column of the text after a label; in a narrower card a label has a line of its own.
 const LABEL: usize = 10;
 const INDENT: usize = 2;
 const WIDE: usize = 70;
 /// Rows of the headline, and of one sentence of a list.
 const MOST_ROWS_OF_A_SENTENCE: usize = 2;
 const MARK: char = '…';
-/// Longest bar, and the room that name and figure need beside it.
+/// Width of the figure of a bar.
 const FIGURE: usize = 8;
 
 /// A row of a document; the label is as wide as its column.
@@ -54,8 +54,8 @@ fn labelled(label: &str, texts: Vec<String>, width: usize) -> Vec<Row> {
         rows.push(Row { label, text: String::new() });
     }
     let indent = if wide { LABEL } else { INDENT };
-    rows.extend(texts.into_iter().enumerate().map(|(place, text)| {
-        let label = if wide && place == 0 { label } else { "" };
+    rows.extend(texts.into_iter().enumerate().map(|(index, text)| {
+        let label = if wide && index == 0 { label } else { "" };
         let label = format!("{:<indent$}", cut(label, indent - 1));
         Row { label, text }
     }));
@@ -95,9 +95,9 @@ impl Block {
     fn in_full(&self, width: usize) -> Vec<Row> {
         let item = |text: &str| {
             let rows = wrapped(text, width.saturating_sub(2)).into_iter();
-            let mark = |place| if place == 0 { "- " } else { "  " };
-            let rows = rows.enumerate();
-            rows.map(move |(place, row)| Row::of(format!("{}{row}", mark(place))))
+            let mark = |index| if index == 0 { "- " } else { "  " };
+            rows.enumerate()
+                .map(|(index, row)| Row::of(format!("{}{row}", mark(index))))
                 .collect::<Vec<_>>()
         };
         match &self.content {
@@ -147,15 +147,15 @@ impl Document {
         let mut shown: Vec<usize> = self.of_card().map(|block| block.content.entries()).collect();
         let mut rows = self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE);
         while rows.len() > LINES {
-            // The longest list gives way first, of two the later one.
-            let spare = |place: &usize| shown[*place] - least[*place];
+            // The longest list is shortened first, of two the later one.
+            let spare = |index: &usize| shown[*index] - least[*index];
             let longest = (0..shown.len()).max_by_key(spare);
-            let Some(place) = longest.filter(|place| spare(place) > 0) else {
-                // Rather a sentence that breaks off than one that is missing.
+            let Some(index) = longest.filter(|index| spare(index) > 0) else {
+                // A sentence that is cut is better than one that is missing.
                 rows = self.with(&shown, width, 1);
                 break;
             };
-            shown[place] -= 1;
+            shown[index] -= 1;
             rows = self.with(&shown, width, MOST_ROWS_OF_A_SENTENCE);
         }
         let rows: Vec<String> = rows.iter().map(Row::to_string).collect();
@@ -182,7 +182,7 @@ impl Document {
     fn end(&self, width: usize) -> Vec<Row> {
         let commands = self.commands.iter().flat_map(|text| command(text, room(width))).collect();
         let mut rows = labelled("next", commands, width);
-        // To be copied: it is not broken.
+        // Not broken, so that it can be copied.
         rows.extend(self.page.clone().map(Row::of));
         rows
     }
@@ -193,11 +193,11 @@ impl Document {
         let blocks = self.of_card().zip(shown);
         let body: Vec<Row> =
             blocks.flat_map(|(block, shown)| block.on_card(*shown, width, most)).collect();
-        let breaks_off = body.iter().any(|row| row.text.ends_with(MARK));
+        let is_cut = body.iter().any(|row| row.text.ends_with(MARK));
         rows.extend(body);
         let all: usize = self.of_card().map(|block| block.content.entries()).sum();
         let more = match all - shown.iter().sum::<usize>() {
-            0 if breaks_off => Some(format!("{} has the rest of what ends in …", self.rest)),
+            0 if is_cut => Some(format!("{} has the rest of what ends in …", self.rest)),
             0 => None,
             left => Some(format!("{} has {left} more", self.rest)),
         };
@@ -218,7 +218,7 @@ fn shortened(text: &str, width: usize, most: usize) -> Vec<String> {
     rows
 }
 
-/// A command that a shell takes as it stands, broken before its options where it is too long.
+/// A command for a shell, broken before its options where it is too long.
 fn command(text: &str, width: usize) -> Vec<String> {
     const MARK: &str = " \\";
     let mut rows: Vec<String> = Vec::new();
@@ -237,7 +237,7 @@ fn command(text: &str, width: usize) -> Vec<String> {
     rows
 }
 
-/// Each bar in cells of the longest; what is there has a cell of its own, however short. Below them what they are of.
+/// Each bar in cells of the longest, at least one unless it is zero. Their unit is below them.
 fn bars_in_cells(all: &Bars, shown: usize, width: usize) -> Vec<String> {
     let lengths = all.bars.iter().map(|bar| bar.1);
     let largest = lengths.filter(|length| length.is_finite()).fold(0.0, f64::max);
@@ -298,7 +298,7 @@ mod tests {
             assert!(widest <= Some(width.min(COLUMNS)), "{text}");
             assert!(rows[0].starts_with("EFFECT FOUND: missing"), "{text}");
             assert!(rows[LINES - 1].ends_with("-fit/report.html"), "{text}");
-            // The number of rows left out is given, and the answer is not among them.
+            // The number of rows left out is given, and the result is not among them.
             assert!(text.contains("--full has "), "{text}");
             assert!(text.contains("after") && text.contains("settled"), "{text}");
             assert!(text.contains("± 0.00001"), "{text}");
@@ -322,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_command_is_broken_where_a_shell_goes_on() {
+    fn a_long_command_is_broken_so_that_a_shell_joins_it() {
         let text = "drivebench add x --run a --holdout b";
         assert_eq!(command(text, 80), [text]);
         let rows = command(text, 27);

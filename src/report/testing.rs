@@ -1,4 +1,4 @@
-//! A comparison and a diagnosis of fixed figures, for the tests of what shows them: the page and the screen.
+//! A comparison and a diagnosis of fixed figures, for the tests of page and screen.
 
 use std::sync::LazyLock;
 
@@ -136,7 +136,7 @@ pub(crate) fn diagnosis() -> Diagnosis {
     }
 }
 
-/// Two runs for a pair that is not told apart: the dither is above any constant, and below what this pair needs.
+/// Two runs for a pair that is not distinguished: the separation of the dither is below that which the pair needs.
 pub(crate) fn next_experiment() -> NextExperiment {
     let entry =
         |program, expected_separation| MenuEntry { program, expected_separation, needed: 612.0 };

@@ -2,7 +2,7 @@
 
 use super::html::escape;
 use super::testing::{candidate, comparison, diagnosis, next_experiment, rung};
-use super::wording::candidate::{at_most, seen_from};
+use super::wording::candidate::{at_most, detectable_from};
 use super::*;
 use drivebench_diagnose::{
     Candidate, Comparison, DiagnosisVerdict, ErrorOf, Evidence, Limit, NextExperiment,
@@ -69,13 +69,13 @@ fn the_verdict_is_first_and_every_figure_has_its_uncertainty() {
         own("stribeck_speed_rad_s", "rad/s", 8.91, 0.12),
     ];
     let motor = |resistance: (f64, f64), inertia: (f64, f64), doubt: Option<&str>| {
-        let unseen = "relative uncertainty 80 % at a period of 10.0 ms";
+        let uncertain = "relative uncertainty 80 % at a period of 10.0 ms";
         let found = |key, unit, (value, std), doubt: Option<&str>| {
             ParameterEstimate::found(key, unit, value, std, doubt.map(str::to_owned))
         };
         vec![
             found("resistance_ohm", "ohm", resistance, None),
-            ParameterEstimate::not_observable("inductance_h", "H", unseen),
+            ParameterEstimate::not_observable("inductance_h", "H", uncertain),
             found("inertia_kg_m2", "kg.m2", inertia, doubt),
         ]
     };
@@ -187,7 +187,7 @@ fn the_page_of_a_real_diagnosis_is_whole_and_names_the_effect() {
 }
 
 #[test]
-fn a_motor_that_misses_nothing_has_a_page_without_an_after() {
+fn a_model_without_a_missing_effect_has_a_page_without_an_after() {
     let html = commission(&Model::baseline(Motor::zk_22fc()));
     assert_balanced(&html);
     assert!(html.contains("Nothing missing") && !html.contains("model after"));
@@ -231,8 +231,8 @@ fn the_next_run_has_the_figure_of_its_question() {
     let mut found = diagnosis();
     found.verdict = DiagnosisVerdict::Ambiguous;
     for (pair, figure, verdicts) in [
-        (next_experiment().pair, "expected separation", [">tells", ">does not"]),
-        (None, "foreseen precision", [">shows at least one", ">promises none"]),
+        (next_experiment().pair, "expected separation", [">distinguishes", ">does not"]),
+        (None, "expected precision", [">shows at least one", ">shows none"]),
     ] {
         let next = next_experiment();
         found.next_experiment = Some(NextExperiment { pair, ..next });
@@ -259,7 +259,7 @@ fn a_bound_is_in_the_unit_of_what_gives_the_effect_its_size() {
     ] {
         let own = candidate(1, effect, Status::RuledOut, 5.08);
         assert_eq!(at_most(&own), Some(format!("at most {bound}")), "{effect}");
-        assert_eq!(seen_from(&own), Some(format!("seen from {bound}")), "{effect}");
+        assert_eq!(detectable_from(&own), Some(format!("detectable from {bound}")), "{effect}");
         for unknown in [None, Some(f64::NAN)] {
             let own = Candidate { upper_bound: unknown, ..own.clone() };
             assert_eq!(at_most(&own), None, "{effect} {unknown:?}");

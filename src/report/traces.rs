@@ -1,5 +1,5 @@
-//! Measured and simulated signals over the time of one run, and what the models leave over: the figure that the pages of a
-//! commission and of a comparison share.
+//! Measured and simulated signals of one run over time, and the residuals: the figure that the pages of a commissioning and of
+//! a comparison share.
 
 use super::Document;
 use super::plot::{MOST_POINTS, Panel, Style, TIME, stacked};
@@ -30,7 +30,7 @@ impl ConfirmRun {
     }
 }
 
-/// Measured and simulated signals and what the models leave over.
+/// Measured and simulated signals, and the residuals.
 pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
     let panels = panels(run);
     document.figure(
@@ -46,7 +46,7 @@ pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
     );
 }
 
-/// What the models before and after are called.
+/// Names of the models before and after.
 pub(super) const fn model_names(changed: bool) -> [&'static str; 2] {
     if changed { ["model before", "model after"] } else { ["model", ""] }
 }
@@ -67,7 +67,7 @@ fn panels(run: &ConfirmRun) -> Vec<Panel> {
     held.chain(signals).chain(residuals).collect()
 }
 
-/// A signal with its models, and what they leave over.
+/// A signal with its models, and the residuals.
 fn signal_panels(run: &ConfirmRun, own: &SignalTrace) -> (Panel, Panel) {
     let (name, unit) = (own.quantity.name(), own.quantity.unit());
     let mut signal =

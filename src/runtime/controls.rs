@@ -11,7 +11,7 @@ pub(crate) struct Controls {
     pub snapshots: SnapshotCell,
     /// Raised for each request to end: the first ramps down, the second switches the output off at once.
     pub interrupted: Arc<AtomicBool>,
-    /// Set by every stop key: nothing more is to be started, also between two runs, where nobody reads intents.
+    /// Set by every stop key: nothing more is to be started, also between two runs, where intents are not read.
     pub stop_requested: Arc<AtomicBool>,
     /// Whether the drive may be on.
     pub drive: DriveCell,
@@ -76,8 +76,7 @@ impl Ends {
         self.interrupted.store(true, Ordering::Release);
     }
 
-    /// The terminal is closed, or the screen has failed. However often that is noticed it counts as one request, so that the
-    /// output ramps down.
+    /// The terminal is closed, or the screen has failed. Repeated calls count as one request, so that the output ramps down.
     pub(crate) fn hang_up(&self) {
         self.leaving.store(true, Ordering::Release);
         self.stop_requested.store(true, Ordering::Release);

@@ -1,5 +1,5 @@
-//! How work on a drive ends: whatever ends it, or the screen that shows it, the drive is stopped, its confirmation is waited
-//! for, and only then the program goes on.
+//! How work on a drive ends: whatever ends the work or its screen, the drive is stopped, and the program continues only after
+//! the drive has confirmed the stop.
 //!
 //! ```text
 //! headless: work on this thread ---------------------------+-- returns, panics --> result
@@ -33,8 +33,8 @@ pub(crate) enum Audience {
     Headless,
     /// A screen, with the steps of a workflow where there is one.
     Screen(Option<ProgressCell>),
-    /// A screen of a run after which the program goes on; the text names what follows `q`.
-    Leads(&'static str),
+    /// A screen of a run after which the program continues; the text names what follows `q`.
+    FollowedBy(&'static str),
 }
 
 /// Work that is over, with how its screen was left.
@@ -43,11 +43,11 @@ pub(crate) struct Ended<T> {
     pub screen: ScreenEnd,
 }
 
-/// How the screen beside the work ended.
+/// How the screen of the work ended.
 #[derive(Debug)]
 pub(crate) enum ScreenEnd {
     NoScreen,
-    /// By its own ways out.
+    /// By one of its keys, or at the end of the work.
     Screen(Exit),
     /// The terminal was closed, or failed.
     Gone(Failure),
@@ -56,8 +56,8 @@ pub(crate) enum ScreenEnd {
 }
 
 impl ScreenEnd {
-    /// The failure of the command, where the run itself ended with `run`: a trip or a lost drive goes before anything that
-    /// happened to the screen, a fault of this program before an interruption.
+    /// The failure of the command, where the run itself ended with `run`: a trip or a lost drive has priority over a failure of
+    /// the screen, a fault of this program over an interruption.
     pub(crate) fn conclude(self, run: Option<Failure>) -> Result<(), Failure> {
         let of_screen = match self {
             Self::NoScreen | Self::Screen(_) => None,
@@ -89,26 +89,27 @@ pub(crate) fn conduct<T: Send + 'static>(
         Audience::Headless => {
             let (listener, notices) = channel();
             let (controls, ends) = Controls::new(SnapshotCell::with_notices(listener));
-            signals::pull(ends)?;
+            signals::end_run_by_signals(ends)?;
             let work = alone(terminal, controls, notices, work)?;
             Ok(Ended { work, screen: ScreenEnd::NoScreen })
         }
         Audience::Screen(progress) => on_screen(terminal, progress, None, work),
-        Audience::Leads(leads) => on_screen(terminal, None, Some(leads), work),
+        Audience::FollowedBy(followed_by) => on_screen(terminal, None, Some(followed_by), work),
     }
 }
 
 fn on_screen<T: Send + 'static>(
     terminal: &Terminal,
     progress: Option<ProgressCell>,
-    leads: Option<&'static str>,
+    followed_by: Option<&'static str>,
     work: impl FnOnce(&Controls) -> Result<T, Failure> + Send + 'static,
 ) -> Result<Ended<T>, Failure> {
     let (controls, ends) = Controls::new(SnapshotCell::default());
-    signals::pull(ends.clone())?;
+    signals::end_run_by_signals(ends.clone())?;
     let appearance = terminal.appearance();
-    let shown = move |sources| show(LiveScreen::new(LiveSources { leads, ..sources }), appearance);
-    beside_screen(terminal, controls, &ends, progress, shown, work)
+    let shown =
+        move |sources| show(LiveScreen::new(LiveSources { followed_by, ..sources }), appearance);
+    with_screen(terminal, controls, &ends, progress, shown, work)
 }
 
 /// Without a screen: warnings go to stderr at once, by a thread that may wait for it.
@@ -132,7 +133,7 @@ pub(crate) fn alone<T>(
     let done = catch_unwind(AssertUnwindSafe(|| work(&controls)));
     drop(controls);
     let done = done.unwrap_or_else(|panic| Err(bench_panicked(panic.as_ref(), &drive.get())));
-    // The warnings stand above the result.
+    // Warnings are printed before the result.
     let _ = printer.join();
     done
 }
@@ -140,8 +141,8 @@ pub(crate) fn alone<T>(
 /// The work on a thread of its own while `show` has this one.
 ///
 /// # Errors
-/// As [`conduct`]; and where the work does not come to its end in time.
-pub(crate) fn beside_screen<T: Send + 'static>(
+/// As [`conduct`]; and where the work does not end in time.
+pub(crate) fn with_screen<T: Send + 'static>(
     terminal: &Terminal,
     controls: Controls,
     ends: &Ends,
@@ -151,12 +152,12 @@ pub(crate) fn beside_screen<T: Send + 'static>(
 ) -> Result<Ended<T>, Failure> {
     let worker = WorkerCell::default();
     let ranking = RankingCell::default();
-    rank_beside(ends.snapshots.reader(), ranking.clone(), worker.clone())?;
+    rank_effects(ends.snapshots.reader(), ranking.clone(), worker.clone())?;
     let sources = LiveSources {
         snapshots: ends.snapshots.clone(),
         ranking,
         workflow: progress,
-        leads: None,
+        followed_by: None,
         intents: ends.intents.clone(),
         worker: worker.clone(),
         stop_requested: Arc::clone(&ends.stop_requested),
@@ -173,13 +174,13 @@ pub(crate) fn beside_screen<T: Send + 'static>(
         || thread.is_finished() && ends.leaving.load(Ordering::Acquire),
     )?;
     let screen = match shown {
-        Watched::Left(exit) => ScreenEnd::Screen(exit),
-        Watched::Failed(reason) => ScreenEnd::Gone(Failure::with_help(
+        ScreenReturn::Left(exit) => ScreenEnd::Screen(exit),
+        ScreenReturn::Failed(reason) => ScreenEnd::Gone(Failure::with_help(
             INTERRUPTED,
             format!("the screen has failed: {reason}"),
             "the drive was stopped; start the command again to repeat the run",
         )),
-        Watched::Panicked(text) => ScreenEnd::Panicked(Failure::internal(format!(
+        ScreenReturn::Panicked(text) => ScreenEnd::Panicked(Failure::internal(format!(
             "the screen has panicked ({text}); the run was ended"
         ))),
     };
@@ -212,21 +213,21 @@ pub(crate) fn beside_screen<T: Send + 'static>(
 
 /// Ranks the effects provisionally, twice a second, from the snapshots of the screen, for as long as the work goes on. It
 /// shares nothing else with the bench. Never joined: it has nothing to finish.
-fn rank_beside(
+fn rank_effects(
     snapshots: SnapshotCell,
     ranking: RankingCell,
     worker: WorkerCell,
 ) -> Result<(), Failure> {
     spawn("ranking", move || {
         let mut watch = RankingWatch::default();
-        let mut seen = None;
+        let mut ranked = None;
         while !worker.is_finished() {
             let latest = snapshots.latest();
-            // Between two runs and beside an analysis nothing new comes.
-            if !seen.as_ref().is_some_and(|seen| Arc::ptr_eq(seen, &latest)) {
+            // Between two runs and during an analysis there is no new snapshot.
+            if !ranked.as_ref().is_some_and(|ranked| Arc::ptr_eq(ranked, &latest)) {
                 watch.take(&latest);
                 ranking.publish(watch.rank().unwrap_or_default());
-                seen = Some(latest);
+                ranked = Some(latest);
             }
             thread::sleep(Duration::from_millis(500));
         }
@@ -235,9 +236,9 @@ fn rank_beside(
 }
 
 /// How a screen was left.
-pub(crate) enum Watched {
+pub(crate) enum ScreenReturn {
     Left(Exit),
-    /// Why there is none any more.
+    /// With the reason.
     Failed(String),
     /// With the text of the panic.
     Panicked(String),
@@ -250,12 +251,12 @@ pub(crate) fn watched(
     show: impl FnOnce() -> io::Result<Exit> + Send + 'static,
     gone: impl Fn(),
     must_leave: impl Fn() -> bool,
-) -> Result<Watched, Failure> {
+) -> Result<ScreenReturn, Failure> {
     let has_terminal = io::stdout().is_terminal();
     let screen = spawn("screen", show)?;
     let (mut closed, mut waited_s) = (false, 0.0);
     while !screen.is_finished() {
-        // At its other end.
+        // Closed at its other end.
         if has_terminal && !closed && is_gone(Duration::ZERO).unwrap_or(true) {
             closed = true;
             gone();
@@ -265,15 +266,15 @@ pub(crate) fn watched(
         }
         if waited_s > 2.0 {
             let reason =
-                if closed { "the terminal is gone" } else { "the terminal takes nothing any more" };
-            return Ok(Watched::Failed(reason.to_owned()));
+                if closed { "the terminal is gone" } else { "the terminal does not respond" };
+            return Ok(ScreenReturn::Failed(reason.to_owned()));
         }
         thread::sleep(POLL);
     }
     Ok(match screen.join() {
-        Ok(Ok(exit)) => Watched::Left(exit),
-        Ok(Err(error)) => Watched::Failed(error.to_string()),
-        Err(panic) => Watched::Panicked(panic_text(panic.as_ref()).to_owned()),
+        Ok(Ok(exit)) => ScreenReturn::Left(exit),
+        Ok(Err(error)) => ScreenReturn::Failed(error.to_string()),
+        Err(panic) => ScreenReturn::Panicked(panic_text(panic.as_ref()).to_owned()),
     })
 }
 
@@ -301,7 +302,7 @@ fn is_over_after_stop<T>(terminal: &Terminal, thread: &JoinHandle<T>, ends: &End
     thread.is_finished()
 }
 
-/// The failure of work that did not come to its end.
+/// The failure of work that did not end.
 fn unfinished(screen: ScreenEnd, drive: &DrivePower) -> Failure {
     let is_on = matches!(drive, DrivePower::MayBeOn { .. });
     match screen {
@@ -311,7 +312,7 @@ fn unfinished(screen: ScreenEnd, drive: &DrivePower) -> Failure {
                 ScreenEnd::Panicked(_) => INTERNAL,
                 _ => INTERRUPTED,
             },
-            "left by force: the bench did not confirm that it has stopped",
+            "closed by force: the bench did not confirm that it has stopped",
             "see that the motor stands still; the drive's watchdog stops it",
         ),
     }
@@ -320,13 +321,13 @@ fn unfinished(screen: ScreenEnd, drive: &DrivePower) -> Failure {
 /// A panic of the work, with the result of the stop that was sent on its way out.
 fn bench_panicked(panic: &(dyn Any + Send), drive: &DrivePower) -> Failure {
     let stopped = match drive {
-        DrivePower::Panicked(Ok(())) => "the drive has taken its stop".to_owned(),
+        DrivePower::Panicked(Ok(())) => "the drive has confirmed its stop".to_owned(),
         DrivePower::Panicked(Err(error)) => {
             format!("the drive did NOT confirm its stop: {error}; see that the motor stands still")
         }
         DrivePower::Off => "nothing was energised".to_owned(),
         DrivePower::MayBeOn { .. } => {
-            "the drive was sent its stop; see that the motor stands still".to_owned()
+            "a stop was sent to the drive; see that the motor stands still".to_owned()
         }
     };
     Failure::internal(format!("the bench has panicked ({}); {stopped}", panic_text(panic)))

@@ -62,7 +62,7 @@ impl Failure {
         Self::with_help(LINK, headline, help)
     }
 
-    /// The data do not carry the requested parameters.
+    /// The data do not determine the requested parameters.
     pub fn not_identifiable(headline: impl Into<String>, help: impl Into<String>) -> Self {
         Self::with_help(NOT_IDENTIFIABLE, headline, help)
     }
@@ -91,12 +91,12 @@ impl Failure {
     /// The next step; where none was given, what the status means for the reader.
     pub(crate) fn help(&self) -> &str {
         self.help.as_deref().unwrap_or(match self.status {
-            REFUSED => "the figures are on stdout; `drivebench diagnose` names what the model misses",
+            REFUSED => "the figures are on stdout; `drivebench diagnose` names what is missing in the model",
             LINK => "check cable, power and address of the drive",
             TRIP => "find the cause before the next run",
             NOT_IDENTIFIABLE => "the reason of each parameter is on stdout; excite the motor more, or require less",
             INTERRUPTED => "start the command again to repeat the run",
-            INTERNAL => "this is a fault of drivebench itself; please report it with the command that was given",
+            INTERNAL => "this is a fault of drivebench itself; please report it with the command",
             _ => "see drivebench --help",
         })
     }
@@ -122,7 +122,7 @@ failures! {
     ProfileError: |_| USAGE;
     RecordingError: |_| USAGE;
     RegulatorError: |_| USAGE;
-    // A file without the columns, the rows or the time axis of a run: it, or how it is read, is to be changed.
+    // A file without the columns, the rows or the time axis of a run: the file or its map has to be changed.
     ScenarioError: |_| USAGE;
     TargetError: |_| USAGE;
     TuningError: |_| USAGE;
@@ -131,15 +131,11 @@ failures! {
     FitError: |error| usage_if(matches!(error, FitError::Model(_)), NOT_IDENTIFIABLE);
     FrequencyResponseError: |error| usage_if(matches!(error, FrequencyResponseError::NoVoltage { .. }), NOT_IDENTIFIABLE);
     IdentifyError: |error| usage_if(error.is_usage(), NOT_IDENTIFIABLE);
-    LoadError: |error| usage_if(is_of_the_model(error), NOT_IDENTIFIABLE);
+    LoadError: |error| usage_if(matches!(error, LoadError::Incomplete { .. } | LoadError::Value { .. }), NOT_IDENTIFIABLE);
 }
 
 const fn usage_if(is_usage: bool, otherwise: u8) -> u8 {
     if is_usage { USAGE } else { otherwise }
-}
-
-const fn is_of_the_model(error: &LoadError) -> bool {
-    matches!(error, LoadError::Incomplete { .. } | LoadError::Value { .. })
 }
 
 impl From<ConfigError> for Failure {

@@ -30,8 +30,8 @@ pub(crate) fn load(
     complete(open_run(path, map)?, terminal)
 }
 
-/// Makes missing what is no measurement, derives the speed from the angle where there is none, and prints the warnings of a
-/// run. A run folder's own recorder left empty what it did not receive, and is replayed as it is.
+/// Marks values that cannot be measurements as missing, derives the speed from the angle where there is none, and prints the
+/// warnings of a run. A recorded run folder is not changed: its recorder leaves missing values empty.
 pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<LoadedRun, Failure> {
     let before = loaded.run.notes.len();
     if loaded.manifest.is_none() {
@@ -53,7 +53,7 @@ pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {
     Ok(ModelFile::parse(&path.display().to_string(), &read_text(path)?)?)
 }
 
-/// The speed loop with a model, on a bench to be named where its runs are of another one than the embedded.
+/// The command of a speed loop with this model; with a bench file where its runs are not of the embedded bench.
 pub(crate) fn speed_command(history: &FileHistory, model: &Path, options: &str) -> String {
     let is_another = history.is_of_another_bench(&BenchFile::embedded_default().name);
     let bench = if is_another { " BENCH.toml" } else { "" };
@@ -63,11 +63,11 @@ pub(crate) fn speed_command(history: &FileHistory, model: &Path, options: &str) 
 
 pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     let cannot = |error| format!("{}: cannot read: {error}", path.display());
-    recording::read_text(path).map_err(|error| Failure::usage(cannot(error), meant(path)))
+    recording::read_text(path).map_err(|error| Failure::usage(cannot(error), read_help(path)))
 }
 
-/// What may have been meant by what is no file that can be read.
-fn meant(path: &Path) -> String {
+/// Help for a path that cannot be read as a text file.
+fn read_help(path: &Path) -> String {
     let model = RunFolder::existing(path).file(RunFile::Model);
     if model.is_file() {
         format!("this is a run; its model is {}", model.display())
@@ -78,7 +78,7 @@ fn meant(path: &Path) -> String {
     }
 }
 
-/// The estimates of a JSON object of parameters, as `identify --json` and `result.json` have it.
+/// The estimates of a JSON object of parameters, as in `identify --json` and `result.json`.
 pub(crate) fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
     let read = |(key, row): (&String, &Value)| {
         let unit = match MotorKey::from_key(key) {
@@ -146,9 +146,9 @@ pub(crate) struct Recorded {
     capture: Option<PathBuf>,
     /// `None` when the rows are not needed any more.
     logs: Option<KeptLogs>,
-    /// Why the record on the disk is not whole.
+    /// Why the record on the disk is incomplete.
     incomplete: Option<String>,
-    /// The folder where samples and events are then.
+    /// The folder to which samples and events were saved then.
     rescued: Option<String>,
     terminal: Terminal,
 }
@@ -188,11 +188,11 @@ impl Recorded {
         recorded
     }
 
-    /// What the disk does not take goes to the folder for temporary files, which is often on another disk.
+    /// Writes the record to the folder for temporary files, which is often on another disk.
     fn rescue(&mut self) {
-        let place = std::env::temp_dir();
         let logs = self.logs.as_ref();
-        let rescued = logs.and_then(|logs| logs.rescue(&self.folder, &place, &self.manifest));
+        let other = std::env::temp_dir();
+        let rescued = logs.and_then(|logs| logs.rescue(&self.folder, &other, &self.manifest));
         self.terminal.message(&match rescued {
             Some(Ok(folder)) => {
                 let folder = folder.path().display().to_string();
@@ -200,12 +200,12 @@ impl Recorded {
                 self.rescued = Some(folder);
                 text
             }
-            Some(Err(error)) => format!("the record is not rescued either: {error}"),
-            None => "the record is not whole in memory either: what is missing is lost".to_owned(),
+            Some(Err(error)) => format!("the copy to another folder failed too: {error}"),
+            None => "the record in memory is incomplete too: the missing rows are lost".to_owned(),
         });
     }
 
-    /// The newest run is `latest` beside it.
+    /// Links `latest` to the newest run.
     fn link_latest(&self) {
         if !self.folder.path().is_dir() {
             return;
@@ -216,8 +216,8 @@ impl Recorded {
         }
     }
 
-    /// The run as anyone can replay it, read back from the disk; where the record there is damaged or gone, as the file
-    /// that is still open and the memory have it.
+    /// The run read back from the disk; where that record is damaged or deleted, from the file that is still open and from
+    /// memory.
     pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
         let path = self.folder.path();
         let from_disk = match &self.incomplete {
@@ -266,7 +266,7 @@ impl Recorded {
         self.kept(written)
     }
 
-    /// Keeps what the drive recorded in a burst beside the samples, as a run that every command takes.
+    /// Writes the burst that the drive recorded to the run folder, as a run for every command.
     pub(crate) fn keep_capture(&mut self, name: &str) {
         let Some(capture) = &self.summary.capture else {
             return;
@@ -285,7 +285,7 @@ impl Recorded {
         }
     }
 
-    /// Keeps the samples as columns beside them, as far as the run came.
+    /// Writes the recorded samples as Parquet too.
     pub(crate) fn keep_parquet(&mut self) {
         let recorded = self.logs.as_ref().and_then(KeptLogs::samples);
         let columns = recorded
@@ -302,10 +302,10 @@ impl Recorded {
         written.map_err(|error| self.note(&error.to_string())).ok()
     }
 
-    /// The first reason is reported at once, and stays.
+    /// Reports and keeps the first reason.
     fn note(&mut self, reason: &str) {
         if self.incomplete.is_none() {
-            self.terminal.message(&format!("warning: the record is not whole: {reason}"));
+            self.terminal.message(&format!("warning: the record is incomplete: {reason}"));
             self.incomplete = Some(reason.to_owned());
         }
     }
@@ -320,7 +320,7 @@ impl Recorded {
                 format!("the result is printed, and samples and events are in {rescued}")
             }
             None => format!(
-                "the result is computed from memory and printed; see what {folder} holds, make room, and repeat the run"
+                "the result is computed from memory and printed; check {folder}, free disk space, and repeat the run"
             ),
         };
         Some(Failure::with_help(INTERNAL, headline, help))
@@ -346,7 +346,7 @@ impl Recorded {
     }
 }
 
-/// Exit status, headline and lead of the page of a run that did not go to its end, or whose drive did not confirm its stop.
+/// Exit status, headline and lead of the page of a run that was not completed, or whose drive did not confirm its stop.
 pub(crate) fn early_end(
     outcome: &Outcome,
     stop_error: Option<&str>,
@@ -355,24 +355,24 @@ pub(crate) fn early_end(
     let by_hand = "it was ended by hand";
     let (status, tone, title, reason) = match outcome {
         Outcome::Done if unstopped.is_none() => return None,
-        Outcome::Done => (LINK, Tone::Bad, "Stop not confirmed", "the sequence went to its end"),
+        Outcome::Done => (LINK, Tone::Bad, "Stop not confirmed", "the sequence was completed"),
         Outcome::Stopped => (INTERRUPTED, Tone::Attention, "Stopped", by_hand),
         Outcome::Interrupted => (INTERRUPTED, Tone::Attention, "Interrupted", by_hand),
         Outcome::Tripped(trip) => (TRIP, Tone::Bad, "Safety trip", trip.reason.as_str()),
         Outcome::LinkLost { reason } => (LINK, Tone::Bad, "Link lost", reason.as_str()),
         Outcome::NotStarted { reason } => (LINK, Tone::Attention, "Not started", reason.as_str()),
     };
-    let itself = || format!("{}: {reason}", title.to_lowercase());
+    let headline = || format!("{}: {reason}", title.to_lowercase());
     let (status, headline) = match (outcome, &unstopped) {
-        // A person who ended it must not take it for stopped.
+        // Who ended the run must not believe that the motor has stopped.
         (Outcome::Done | Outcome::Stopped | Outcome::Interrupted, Some(unstopped)) => {
             (LINK, unstopped.clone())
         }
         (Outcome::Stopped | Outcome::Interrupted, None) => {
             (status, "stopped before the end of the sequence".to_owned())
         }
-        (Outcome::Tripped(_), Some(unstopped)) => (status, format!("{}; {unstopped}", itself())),
-        _ => (status, itself()),
+        (Outcome::Tripped(_), Some(unstopped)) => (status, format!("{}; {unstopped}", headline())),
+        _ => (status, headline()),
     };
     let page = EarlyEnd {
         tone: if unstopped.is_some() { Tone::Bad } else { tone },

@@ -1,5 +1,5 @@
-//! From the bench file to a link: the protocol, the far end of the wire, and the emulator behind it where it is ours; the
-//! capture of what goes over the wire; how the same link is opened once more.
+//! From the bench file to a link: the protocol, the address, and the emulator where it is ours; the capture of the traffic; how
+//! the same link is opened again.
 //!
 //! This file owns the wall clock (the stamps of run folders and captures).
 
@@ -22,13 +22,13 @@ use drivebench_link::{
     offer, open_tapped,
 };
 
-/// A bench file; the profile beside it is found from wherever the program is started.
+/// A bench file; a profile in its folder is found whatever the present folder is.
 pub(crate) fn bench_file(path: &Path) -> Result<BenchFile, Failure> {
     let mut bench = BenchFile::parse(&path.display().to_string(), &read_text(path)?)?;
     let profile = &mut bench.drive.profile;
-    let near = path.parent().map(|folder| folder.join(&*profile));
-    if let Some(near) = near.filter(|near| near.is_file() && !Path::new(&*profile).exists()) {
-        *profile = near.display().to_string();
+    let in_folder = path.parent().map(|folder| folder.join(&*profile));
+    if let Some(file) = in_folder.filter(|file| file.is_file() && !Path::new(&*profile).exists()) {
+        *profile = file.display().to_string();
     }
     Ok(bench)
 }
@@ -44,7 +44,7 @@ pub(crate) fn profile(name: &str) -> Result<(DriveProfile, String), Failure> {
     Ok((DriveProfile::parse(name, &text)?, text))
 }
 
-/// What looks like a path is a file, and no name that might be built in.
+/// Refuses a text that looks like a path, not like a built-in name, and is no file.
 fn refuse_missing(path: &Path) -> Result<(), Failure> {
     let text = path.to_string_lossy();
     let is_toml = path.extension().is_some_and(|end| end == "toml");
@@ -69,12 +69,12 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     Ok((profile, text))
 }
 
-/// A foreign drive has no frames of our own stream.
+/// Only our own drive has the stream protocol.
 pub(crate) fn not_the_stream(profile: &DriveProfile) -> String {
-    format!("{} has no stream of our own frames", profile.name)
+    format!("{} does not have the stream protocol", profile.name)
 }
 
-/// Refuses what the drive's signals cannot carry.
+/// Refuses a purpose for which the drive has not the signals.
 pub(crate) fn suited(profile: &DriveProfile, purpose: offer::Purpose) -> Result<(), Failure> {
     let signals = check_signals(profile, purpose);
     if let Some(help) = signals.help {
@@ -90,7 +90,7 @@ pub(crate) fn suited(profile: &DriveProfile, purpose: offer::Purpose) -> Result<
     Ok(())
 }
 
-/// Prints where the profile comes from, which signals the drive carries, and remarks on its use.
+/// Prints where the profile comes from, which signals the drive provides, and remarks on its use.
 pub(crate) fn announce(profile: &DriveProfile, terminal: &Terminal) {
     terminal.message(&profile.provenance());
     for (channel, text) in offer::carried(profile) {
@@ -135,7 +135,7 @@ pub(crate) fn in_memory(
     Ok(Box::new(MemoryLink::new(SoftDrive::new(config, seed), time, latency(config, bench))))
 }
 
-/// The software drive at the far end of a line in memory, which is one of Modbus RTU.
+/// The software drive on a Modbus RTU line in memory.
 pub(crate) fn on_a_line(
     config: &EmulatorConfig,
     bench: &BenchFile,
@@ -179,7 +179,7 @@ pub(crate) fn serve(
         .map_err(|error| Failure::link(error.to_string(), error.help()))
 }
 
-/// Where a served emulator is reached.
+/// The address of a served emulator.
 pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
     match protocol {
         drive::Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
@@ -205,7 +205,7 @@ pub(crate) fn wired_profile(bench: &mut BenchFile) -> Result<(DriveProfile, Stri
     Ok((profile, text))
 }
 
-/// The capture of a run. Where no wire is involved there is nothing to tap.
+/// The capture of a run; refused where there is no line.
 pub(crate) fn tap(path: Option<&Path>, port: &Port, terminal: &Terminal) -> Result<Tap, Failure> {
     if path.is_some() && port.is_virtual() {
         return Err(Failure::usage(
@@ -216,7 +216,7 @@ pub(crate) fn tap(path: Option<&Path>, port: &Port, terminal: &Terminal) -> Resu
     Tap::create(path, terminal)
 }
 
-/// The far end of the wire with the bench file's baud rate and unit.
+/// The address of the drive with the bench file's baud rate and unit.
 pub(crate) fn target(address: &str, bench: &BenchFile) -> Result<Target, Failure> {
     let (baud, unit) = (Some(bench.baud()), Some(bench.link.unit));
     Ok(match address.parse()? {

@@ -37,12 +37,12 @@ struct Streams {
     appearance: OnceLock<Appearance>,
 }
 
-/// What stands on stderr, and what waits for it.
+/// The messages on stderr, those that wait, and the progress line.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
     pub(super) destination: Destination,
     pub(super) work: Option<Work>,
-    /// The progress line stands in the last row of the terminal.
+    /// The progress line is drawn in the last row of the terminal.
     pub(super) is_drawn: bool,
     printed_once: BTreeSet<&'static str>,
 }
@@ -51,7 +51,7 @@ pub(super) struct Messages {
 pub(super) enum Destination {
     #[default]
     Stderr,
-    /// A screen has the terminal: messages are printed when it is left.
+    /// A screen uses the terminal: messages are printed when it is left.
     Screen(Vec<String>),
     /// The caller uses the messages, as a row of a table.
     Collected(Vec<String>),
@@ -86,10 +86,10 @@ fn print_rows(text: &str) {
     }
 }
 
-/// While it lives a screen has the terminal; then the messages of that time are printed.
-pub(crate) struct Held(Terminal);
+/// While it exists a screen uses the terminal; then the messages of that time are printed.
+pub(crate) struct ScreenGuard(Terminal);
 
-impl Drop for Held {
+impl Drop for ScreenGuard {
     fn drop(&mut self) {
         let mut messages = self.0.messages();
         let held = std::mem::take(&mut messages.destination);
@@ -158,10 +158,10 @@ impl Terminal {
         }
     }
 
-    /// From here on a screen has the terminal.
-    pub(crate) fn hold(&self) -> Held {
+    /// From here on a screen uses the terminal.
+    pub(crate) fn hold(&self) -> ScreenGuard {
         self.messages().destination = Destination::Screen(Vec::new());
-        Held(self.clone())
+        ScreenGuard(self.clone())
     }
 
     /// Two paragraphs on stderr, and with `--json` one line for programs before them.
@@ -232,13 +232,13 @@ impl Terminal {
             Err(error) if !is_closed(&error) => Err(Failure::with_help(
                 INTERNAL,
                 format!("cannot write the result: {error}"),
-                "make room where standard output goes, or send it elsewhere",
+                "free space at the destination of standard output, or redirect it",
             )),
             _ => Ok(()),
         }
     }
 
-    /// A new file, whole or not at all as far as a signal is concerned.
+    /// Writes a new file; a signal does not end the program during the write.
     pub(crate) fn file(
         &self,
         path: &Path,
@@ -254,7 +254,7 @@ impl Terminal {
 /// Whether the reader of standard output, a pipe or a terminal, has closed its end.
 fn is_closed(error: &std::io::Error) -> bool {
     let of_terminal = || {
-        // A terminal that was hung up is none any more, but still a device of characters.
+        // A terminal that was hung up is no terminal any more, but still a character device.
         fstat(std::io::stdout())
             .is_ok_and(|found| FileType::from_raw_mode(found.st_mode) == FileType::CharacterDevice)
     };
@@ -271,7 +271,7 @@ fn columns() -> usize {
     columns_of(&std::io::stdout())
 }
 
-/// A terminal narrower than 40 columns is taken for one of 40.
+/// A terminal narrower than 40 columns counts as one of 40.
 fn columns_of(stream: &impl IsTerminal) -> usize {
     let size = stream.is_terminal().then(crossterm::terminal::size).and_then(Result::ok);
     size.map_or(COLUMNS, |(columns, _)| usize::from(columns).clamp(40, COLUMNS))

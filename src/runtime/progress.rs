@@ -2,10 +2,10 @@
 //!
 //! ```text
 //! progress(command) .. stage(text, of) .. at(done) .. drop
-//!      '-> a thread that draws the line from the second second on, again and again, and wipes it at the end
+//!      '-> a thread that redraws the line, after the first second, and wipes it at the end
 //! ```
 //!
-//! Where stderr is no terminal it is a line of its own, a few times a minute: a silent log looks dead.
+//! Where stderr is no terminal it is a line of its own, a few times a minute: a silent log looks like a hang.
 
 use std::fmt::Write as _;
 use std::io::{IsTerminal as _, Write as _};
@@ -17,7 +17,7 @@ use crate::runtime::output::{Destination, Messages, Terminal, WIPE};
 use drivebench_diagnose::{Event, Stage};
 use drivebench_model::text::number::significant;
 
-/// The work of a command, and since when it lasts.
+/// The work of a command, and when it began.
 #[derive(Debug)]
 pub(super) struct Work {
     command: &'static str,
@@ -155,7 +155,7 @@ impl Terminal {
     pub(crate) fn diagnosis(&self, event: Event) {
         let (text, of) = match event {
             Event::Begun { stage, of } => match stage {
-                Stage::Baseline => ("fits the model as it is", of),
+                Stage::Baseline => ("fits the given model", of),
                 Stage::Screen => ("screens the effects", of),
                 Stage::Refit => ("adds the effects one by one", of),
                 Stage::Check => ("fits sets of effects together", of),

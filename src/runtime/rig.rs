@@ -38,7 +38,7 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{Channel, Origin};
 
-/// What stands for the emulator's configuration in a bench file that hides it.
+/// The name of the emulator's configuration in a bench file that hides it.
 pub(crate) const MYSTERY: &str = "mystery";
 
 /// Options of a rig.
@@ -59,7 +59,7 @@ pub(crate) struct RigOptions {
     pub escalate: bool,
     pub waivers: Waivers,
     pub reset_fault: bool,
-    /// How long to look for a drive that was lost, s; `None`: as long as seems right.
+    /// How long to look for a drive that was lost, s; `None`: the default of [`Rig::search_lost_drive`].
     pub reopen_s: Option<f64>,
     /// Where the capture of the wire goes.
     pub tap: Option<PathBuf>,
@@ -80,12 +80,12 @@ pub(crate) type OpenRig =
 struct Planned {
     session: Session,
     motor: Option<Nameplate>,
-    /// It continues what was started by hand before.
+    /// It continues a sequence that was started by hand.
     follows: bool,
     speed: Option<SpeedAbout>,
 }
 
-/// What the record holds of a speed loop.
+/// Data of a speed loop for its record.
 pub(crate) struct SpeedAbout {
     /// The model that it was tuned on, as a model file.
     pub(crate) model: String,
@@ -102,13 +102,13 @@ pub(crate) struct Rig {
     pub(crate) profile: DriveProfile,
     /// Its file, as it was read.
     profile_text: String,
-    pub(crate) way: Opened,
+    pub(crate) connection: Connection,
     /// A run has lost its drive: no run follows it, and the checks with their pulse need a new start of the program.
     lost: bool,
     /// The drive that has answered its checks, whether it has passed them or not.
     pub(crate) answered: Option<Identity>,
     pub(crate) last_seq: u64,
-    /// There are records already, which are worth nothing without the run that follows.
+    /// There are records already, which are of no use without the run that follows.
     has_recorded: bool,
     pub(crate) check: Option<CheckReport>,
     pub(crate) escalates: bool,
@@ -118,8 +118,8 @@ pub(crate) struct Rig {
     power: DriveCell,
 }
 
-/// A way to a drive that is open.
-pub(crate) struct Opened {
+/// An open connection to a drive.
+pub(crate) struct Connection {
     pub(crate) link: Box<dyn DriveLink>,
     pub(crate) clock: Box<dyn Clock + Send>,
     /// Opens the link again; `None` for a drive in memory.
@@ -135,8 +135,8 @@ pub(crate) struct Opened {
 impl Rig {
     /// Opens the link. The emulator is used only where the bench file or the command line names it.
     ///
-    /// `run_seed`: one run of several is requested; the emulator then has another day. What the drive's signals cannot carry of
-    /// the `purpose` is refused before anything is opened.
+    /// `run_seed`: one run of several is requested, for which the emulator draws other noise. A `purpose` for which the drive has
+    /// not the signals is refused before anything is opened.
     pub(crate) fn open(
         mut options: RigOptions,
         run_seed: Option<u64>,
@@ -147,8 +147,8 @@ impl Rig {
         if options.headless {
             announce(&profile, &options.terminal);
         }
-        let opened = Opened::of(&options, run_seed, &profile)?;
-        Ok(Self::of(options, profile, profile_text, opened))
+        let connection = Connection::of(&options, run_seed, &profile)?;
+        Ok(Self::of(options, profile, profile_text, connection))
     }
 
     /// A rig over a link and a clock in virtual time.
@@ -162,18 +162,24 @@ impl Rig {
         let (profile, profile_text) = wired_profile(&mut options.bench)?;
         suited(&profile, purpose)?;
         let tap = Tap::create(None, &options.terminal)?;
-        let way = Opened { link, clock, reopener: None, tap, emulator: None, _server: None };
-        Ok(Self::of(options, profile, profile_text, way))
+        let connection =
+            Connection { link, clock, reopener: None, tap, emulator: None, _server: None };
+        Ok(Self::of(options, profile, profile_text, connection))
     }
 
-    fn of(options: RigOptions, profile: DriveProfile, profile_text: String, way: Opened) -> Self {
+    fn of(
+        options: RigOptions,
+        profile: DriveProfile,
+        profile_text: String,
+        connection: Connection,
+    ) -> Self {
         let bench = options.bench.clone();
         Self {
             lost: false,
             answered: None,
             profile,
             profile_text,
-            way,
+            connection,
             last_seq: 0,
             has_recorded: false,
             check: None,
@@ -189,13 +195,13 @@ impl Rig {
     pub(crate) fn energises(&mut self, controls: &Controls, ramp_s: f64) {
         // The shaft comes to rest within 8 s after the output is zero, as session and checks allow it; checks, a burst and the
         // last exchanges take at most 5 s.
-        let end_s = ramp_s + 8.0 + 5.0 + self.way.link.command_times().stop_s;
+        let end_s = ramp_s + 8.0 + 5.0 + self.connection.link.command_times().stop_s;
         self.power = controls.drive.clone();
         self.power.set(DrivePower::MayBeOn { end_s });
     }
 
     /// The drive has confirmed that it stopped.
-    pub(crate) fn rests(&self) {
+    pub(crate) fn is_confirmed_off(&self) {
         self.power.set(DrivePower::Off);
     }
 
@@ -220,10 +226,10 @@ impl Rig {
             self.can_record()?;
         }
         self.energises(controls, 0.0);
-        let plate = self.bench.nameplate().filter(|_| !self.escalates);
+        let nameplate = self.bench.nameplate().filter(|_| !self.escalates);
         let flags = controls.stop_flags();
         let stopped = move || flags.iter().any(|flag| flag.load(Ordering::Acquire));
-        let first_move = plate.as_ref().map(|plate| FirstMove {
+        let first_move = nameplate.as_ref().map(|plate| FirstMove {
             plate,
             profile: &self.profile,
             is_withheld: at_rest,
@@ -238,13 +244,13 @@ impl Rig {
             stopped: &stopped,
             reset_fault: std::mem::take(&mut self.options.reset_fault),
         };
-        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
+        let (link, clock) = (self.connection.link.as_mut(), self.connection.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
         if matches!(report, Ok(_) | Err(CheckError::Stopped)) {
-            self.rests();
+            self.is_confirmed_off();
         }
         let report = report.map_err(|error| {
-            let reopener = self.way.reopener.as_ref();
+            let reopener = self.connection.reopener.as_ref();
             Failure::from(error).with_remark(reopener.and_then(Reopener::other_reader).as_deref())
         })?;
         self.answered = Some(report.identity.clone());
@@ -252,7 +258,7 @@ impl Rig {
             return Err(Failure::interrupted("interrupted in the checks; nothing is energised"));
         }
         if let Some(item) = report.refusal() {
-            // A rate that the line cannot carry by arithmetic is one of usage; what the link reaches is measured.
+            // A rate that is too high for the baud rate is an error of usage; a rate that the link does not reach is one of the link.
             let status = if item.name == RATE_CHECK { USAGE } else { LINK };
             let failure = Failure::new(status, format!("{}: {}", item.name, item.text));
             return Err(failure.helped_by(item.help));
@@ -262,11 +268,11 @@ impl Rig {
         Ok(report)
     }
 
-    /// Predicts the sequence with this seed and refuses what would be too much.
+    /// Predicts the sequence with this seed; refuses it where a limit would be exceeded.
     pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
-        let (program, plate) = (self.program(seed)?, self.nameplate()?);
+        let (program, nameplate) = (self.program(seed)?, self.nameplate()?);
         let (limits, rate_hz) = (self.bench.limits(), self.bench.link.rate_hz);
-        let plan = plan(&program, &plate, &limits, rate_hz, self.drive_current_limit_a())?;
+        let plan = plan(&program, &nameplate, &limits, rate_hz, self.drive_current_limit_a())?;
         if let Some(refusal) = plan.refusals.first() {
             let headline = format!("plan refused: {refusal}");
             return Err(Failure::usage(headline, refusal.help()));
@@ -274,7 +280,7 @@ impl Rig {
         Ok(plan)
     }
 
-    /// The motor that is planned with: of the bench file, or as it was found.
+    /// The motor for the plan: that of the bench file, or the one that was found.
     pub(crate) fn nameplate(&self) -> Result<Nameplate, Failure> {
         nameplate(&self.bench)
     }
@@ -286,7 +292,7 @@ impl Rig {
 
     /// The drive can record bursts by itself.
     pub(crate) fn records_bursts(&mut self) -> bool {
-        self.way.link.burst().is_some()
+        self.connection.link.burst().is_some()
     }
 
     fn program(&self, seed: u64) -> Result<Program, Failure> {
@@ -323,10 +329,10 @@ impl Rig {
     ) -> Result<Option<LoopDelay>, Failure> {
         let rate_hz = self.bench.link.rate_hz;
         self.energises(controls, 0.0);
-        let (link, clock) = (self.way.link.as_mut(), self.way.clock.as_mut());
+        let (link, clock) = (self.connection.link.as_mut(), self.connection.clock.as_mut());
         let measured = measure_delay(link, clock, rate_hz, self.last_seq);
         let (delay, last_seq) = measured?;
-        self.rests();
+        self.is_confirmed_off();
         self.last_seq = last_seq;
         Ok(delay)
     }
@@ -350,7 +356,7 @@ impl Rig {
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
-    /// Records one stage of an escalation. The first one beside a real motor is started by hand; the others `follow` it.
+    /// Records one stage of an escalation. The first one on a real motor is started by hand; the others `follow` it.
     pub(crate) fn record_stage(
         &mut self,
         name: &str,
@@ -373,8 +379,7 @@ impl Rig {
         controls: &Controls,
     ) -> Result<Recorded, Failure> {
         if self.lost {
-            let headline =
-                "the drive was lost in the run before: nothing is started again by itself";
+            let headline = "the drive was lost in the run before: no run is started automatically";
             return Err(Failure::new(LINK, headline));
         }
         let unchecked = || Failure::internal("a run without a check before it");
@@ -397,7 +402,7 @@ impl Rig {
             }
             None => layout(&report.signals),
         };
-        if !self.way.clock.is_real() {
+        if !self.connection.clock.is_real() {
             layout = layout.without_host_time();
         }
         let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
@@ -406,16 +411,16 @@ impl Rig {
             .insert(OnlineSettings::NAME.to_owned(), OnlineSettings::from(config).text());
         let mut recorder = self.recorder(name, &layout, &manifest)?;
         let mut online = RowEstimator::new(config);
-        let sent_before = self.way.link.statistics().sent;
+        let sent_before = self.connection.link.statistics().sent;
         self.energises(controls, session.guard().ramp_down_s());
-        if let Some(stop_request) = self.way.link.stop_request() {
+        if let Some(stop_request) = self.connection.link.stop_request() {
             *stop_request = StopRequest::watching(controls.stop_flags());
         }
         let mut summary = run(
             session,
             Bench {
-                link: self.way.link.as_mut(),
-                clock: self.way.clock.as_mut(),
+                link: self.connection.link.as_mut(),
+                clock: self.connection.clock.as_mut(),
                 recorder: &mut recorder,
                 estimator: Some(&mut online),
                 intents: controls.intents(),
@@ -427,18 +432,18 @@ impl Rig {
                 target,
                 rate_hz: self.bench.link.rate_hz,
                 motor: planned.motor,
-                // Beside a screen a real motor is started by hand, after a question.
+                // With a screen a real motor is started by hand, after a question.
                 auto_start: target == Target::Sim || self.options.headless || planned.follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
         self.note_other_reader(&mut summary, &mut recorder, controls);
         if summary.stop_error.is_none() {
-            self.rests();
+            self.is_confirmed_off();
         }
         if summary.lost_its_drive() {
             self.lost = true;
-            self.get_back(&mut summary, &mut recorder, controls);
+            self.search_lost_drive(&mut summary, &mut recorder, controls);
         }
         summary.describe(&mut manifest);
         if let Some(report) = &summary.speed {
@@ -495,11 +500,11 @@ impl Rig {
     }
 
     fn manifest(&self, name: &str, seed: u64, report: &CheckReport) -> Manifest {
-        let link = self.way.link.name();
+        let link = self.connection.link.name();
         let mut manifest = manifest(&self.bench, seed, &link, report);
         name.clone_into(&mut manifest.name);
         manifest.stamp = utc_stamp(now());
-        if let Some(emulator) = &self.way.emulator {
+        if let Some(emulator) = &self.connection.emulator {
             let text = toml::to_string(emulator).unwrap_or_default();
             manifest.configs.insert("emulator".to_owned(), text);
         }
@@ -519,19 +524,19 @@ impl Rig {
         manifest
     }
 
-    /// Notes which other program has the port open where replies were lost on it, once the drive has its stop.
+    /// Notes which other program has the port open, if replies were lost; after the drive has received its stop.
     fn note_other_reader(
         &self,
         summary: &mut RunSummary,
         recorder: &mut Recorder,
         controls: &Controls,
     ) {
-        let reopener = self.way.reopener.as_ref();
+        let reopener = self.connection.reopener.as_ref();
         let has_lost = summary.link.sent > summary.link.ok;
         let Some(text) = reopener.filter(|_| has_lost).and_then(Reopener::other_reader) else {
             return;
         };
-        let time_s = self.way.clock.now_s() + summary.end.drive_minus_host_s;
+        let time_s = self.connection.clock.now_s() + summary.end.drive_minus_host_s;
         let event = Event::new(time_s, None, "other_reader");
         recorder.event(event.with("text", text.as_str()));
         if let Outcome::LinkLost { reason } = &mut summary.outcome {
@@ -546,24 +551,24 @@ impl Rig {
     }
 
     /// Looks for the drive again, brings it to rest and reports what was found; the run stays lost.
-    pub(crate) fn get_back(
+    pub(crate) fn search_lost_drive(
         &mut self,
         summary: &mut RunSummary,
         recorder: &mut Recorder,
         controls: &Controls,
     ) {
-        let (Some(reopener), Some(check)) = (&self.way.reopener, &self.check) else {
+        let (Some(reopener), Some(check)) = (&self.connection.reopener, &self.check) else {
             return;
         };
-        // Beside a screen a person ends it. Without one: the time in which the drive's own watchdog stops it, and 10 s to put
-        // a plug back.
+        // With a screen the user ends the search. Without one: the time in which the drive's own watchdog stops it, and 10 s to
+        // put a plug back.
         let default_s =
             self.options.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + 10.0);
         let limit_s = reopener.limit_s.or(default_s);
         if limit_s == Some(0.0) {
             return;
         }
-        self.way.link.close();
+        self.connection.link.close();
         let link = reopener.link.as_str();
         if self.options.headless {
             let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
@@ -579,10 +584,10 @@ impl Rig {
             limit_s,
             seed: std::process::id().into(),
         };
-        let (profile, tap) = (&self.profile, self.way.tap.file());
+        let (profile, tap) = (&self.profile, self.connection.tap.file());
         let (reopened, link) = reopen(
             ReopenBench {
-                clock: self.way.clock.as_mut(),
+                clock: self.connection.clock.as_mut(),
                 recorder,
                 stopped: &|| controls.is_stopped(),
                 intents: controls.intents(),
@@ -592,14 +597,14 @@ impl Rig {
             &mut || reopener.open(profile, tap),
         );
         if let Some(link) = link {
-            self.way.link = link;
+            self.connection.link = link;
             self.last_seq += 1;
         }
         if self.options.headless {
             self.options.terminal.message(&self.reopening_text(&reopened));
         }
         if reopened.is_safe() {
-            self.rests();
+            self.is_confirmed_off();
         }
         summary.reopened = Some(reopened);
     }
@@ -607,16 +612,19 @@ impl Rig {
     /// What was found, with the profile's remark on a drive that has just been switched on.
     fn reopening_text(&self, reopened: &Reopened) -> String {
         let registers = self.profile.registers.as_ref();
-        let blind_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
+        let inactive_s = registers.map_or(0.0, |map| map.watchdog.keys.boot_delay_s);
         let mut text = reopened.text.clone();
-        if blind_s > 0.0 && reopened.identity.is_some() {
-            let _ = write!(text, "; if it was switched off, its watchdog is blind for {blind_s} s");
+        if inactive_s > 0.0 && reopened.identity.is_some() {
+            let _ = write!(
+                text,
+                "; if it was switched off, its watchdog is not active for {inactive_s} s"
+            );
         }
         text
     }
 }
 
-impl Opened {
+impl Connection {
     fn of(
         options: &RigOptions,
         run_seed: Option<u64>,
@@ -699,7 +707,7 @@ impl Drop for Rig {
             return;
         }
         // What has panicked may be the link itself, and nothing may unwind out of here.
-        let link = &mut self.way.link;
+        let link = &mut self.connection.link;
         let stopped = catch_unwind(AssertUnwindSafe(|| link.stop()));
         self.power.set(DrivePower::Panicked(match stopped {
             Ok(stopped) => stopped.map_err(|error| error.to_string()),

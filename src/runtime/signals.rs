@@ -94,8 +94,8 @@ impl Terminal {
         } else {
             "start the command again; a file was still being written: see whether it is whole"
         };
-        self.failure(&Failure::with_help(INTERRUPTED, "interrupted: there is no answer", help));
-        // The lock is held to the end, so that nobody draws the progress line again.
+        self.failure(&Failure::with_help(INTERRUPTED, "interrupted: there is no result", help));
+        // The lock is held to the end, so that the progress line is not drawn again.
         let mut messages = self.messages();
         messages.wipe();
         std::process::exit(i32::from(INTERRUPTED))
@@ -112,9 +112,9 @@ pub fn flag() -> Result<Arc<AtomicBool>, Failure> {
 }
 
 /// Ends a run on a live drive by every signal that would otherwise end, or halt, the program with its motor on.
-pub(crate) fn pull(ends: Ends) -> Result<(), Failure> {
-    // A file that may not grow any more is an error of the write and no reason to die, a terminal that somebody else has is
-    // none to halt.
+pub(crate) fn end_run_by_signals(ends: Ends) -> Result<(), Failure> {
+    // A file at its size limit is an error of the write and must not end the program; a terminal that another program has must
+    // not halt it.
     for signal in [SIGXFSZ, SIGTTIN, SIGTTOU] {
         register(signal, Arc::default())?;
     }

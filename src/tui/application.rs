@@ -28,17 +28,13 @@ use ratatui::layout::{Position, Rect};
 use ratatui::{Frame, Terminal};
 use signal_hook::consts::SIGCONT;
 
-use super::keys::{Held, Press, press};
+use super::keys::{KeyRepeat, Press, press};
 use super::theme::{self, Appearance};
 use crate::workflow::Order;
 use drivebench_bench::Intent;
 
 /// Longest time between two updates of a screen: 25 frames a second. A key is answered at once.
 const FRAME: Duration = Duration::from_millis(40);
-
-/// How often, and with which pause, it is looked whether the program was halted and goes on: a signal that halts it may
-/// take a moment on a busy machine.
-const NO_SHELL: &str = "Ctrl-Z: no shell stands behind this program that could bring it back";
 
 /// Reports of buttons and wheel, with places beyond column 223; crossterm's own sequence reports every motion too.
 const BUTTONS_AND_WHEEL: &str = "\x1b[?1000h\x1b[?1006h";
@@ -47,19 +43,19 @@ const BUTTONS_AND_WHEEL: &str = "\x1b[?1000h\x1b[?1006h";
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
     Finished,
-    /// `d` when the work was over: the diagnosis is to be gone on with by hand.
+    /// `d` after the work: the diagnosis is continued by hand.
     Diagnosis,
-    /// `v` then: the same, measured and model over time first.
+    /// `v` after the work: the same, with measured and model over time first.
     Traces,
     /// The recommended run is to be made.
     Experiment,
-    /// The speed loop is to be run with what was found.
+    /// The speed loop is to be run with the identified model.
     SpeedLoop,
     /// `q` before the end; the worker has received the stop.
     Quit,
     /// Ctrl-C or a signal; the worker has stopped.
     Interrupted,
-    /// Ctrl-C three times: the worker did not come back. Wait for it, but not for ever.
+    /// Ctrl-C three times: the worker did not end. Wait for it for a limited time.
     Forced,
     /// Another thread panicked; its message is on standard error.
     WorkerPanicked,
@@ -68,7 +64,7 @@ pub enum Exit {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     Send(Intent),
-    /// Nothing more is to be started, also between two runs, where no intent is read.
+    /// Nothing more is to be started, also between two runs, where intents are not read.
     RequestStop,
     Order(Order),
     Leave(Exit),
@@ -76,13 +72,13 @@ pub(super) enum Effect {
 
 /// A screen as a value, with its ends of the channels.
 pub trait Screen {
-    /// Takes in new values of its channels; whether there were any, and whether the screen is left for one.
+    /// Takes new values from its channels; whether there were any, and the exit if one closes the screen.
     fn poll(&mut self) -> (bool, Option<Exit>);
-    /// Answers a key; whether it is left for it.
+    /// Handles a key; the exit if it closes the screen.
     fn press(&mut self, press: Press) -> Option<Exit>;
-    /// Answers a click of the mouse on a screen of this size.
+    /// Handles a click of the mouse on a screen of this size.
     fn click(&mut self, at: Position, area: Rect);
-    /// Says something in the place of the answer to the last key.
+    /// Shows a message instead of that of the last key.
     fn notify(&mut self, text: &str);
     /// Whether the program may be halted now; else the screen shows why not.
     fn may_suspend(&mut self) -> bool;
@@ -101,7 +97,7 @@ pub trait Screen {
     reason = "the clock of a person's keys: nothing that is computed depends on it"
 )]
 pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit> {
-    let mut owned = Owned::take(appearance.takes_mouse)?;
+    let mut owned = RawTerminal::take(appearance.takes_mouse)?;
     let mut changed = true;
     let mut input = Input::new(Instant::now());
     loop {
@@ -109,7 +105,7 @@ pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit>
         if let Some(exit) = exit {
             return Ok(exit);
         }
-        if owned.panicked_elsewhere() && screen.ends_with_a_panic() {
+        if !kept(&owned.elsewhere).is_empty() && screen.ends_with_a_panic() {
             return Ok(Exit::WorkerPanicked);
         }
         if std::mem::take(&mut changed) || is_changed {
@@ -120,7 +116,7 @@ pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit>
                 }
             })?;
         }
-        // Asked of the terminal itself first: crossterm reads one that is gone for ever.
+        // Checked before the read: crossterm does not return from the read of a closed terminal.
         if is_gone(FRAME)? {
             return Err(io::Error::other("the terminal is gone"));
         }
@@ -140,7 +136,7 @@ pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit>
                 }
             } else if press == Press::Suspend {
                 if screen.may_suspend() && !owned.suspend()? {
-                    screen.notify(NO_SHELL);
+                    screen.notify("Ctrl-Z: there is no shell that could resume this program");
                 }
             } else if let Some(exit) = screen.press(press) {
                 return Ok(exit);
@@ -151,19 +147,19 @@ pub fn show(mut screen: impl Screen, appearance: Appearance) -> io::Result<Exit>
 
 /// Keys and mouse, from one poll of the terminal to the next.
 struct Input {
-    held: Held,
+    repeat: KeyRepeat,
     /// When the latest key or frame without one was counted.
     counted: Instant,
 }
 
 impl Input {
     fn new(now: Instant) -> Self {
-        let held = Held::default();
-        Self { held, counted: now }
+        let repeat = KeyRepeat::default();
+        Self { repeat, counted: now }
     }
 
-    /// Presses in the order in which they came. Whatever else wakes the loop, a frame without a key is as long as
-    /// ever: a stop key that was held back comes after it.
+    /// Presses in their order. A frame without a key has the same length whatever else wakes the loop: a delayed stop key comes
+    /// after it.
     fn presses(&mut self, events: Vec<TerminalEvent>, now: Instant) -> Vec<Press> {
         let mut presses = Vec::new();
         let mut has_key = false;
@@ -172,7 +168,7 @@ impl Input {
                 TerminalEvent::Key(key) => {
                     let press = press(key);
                     has_key |= press.is_some();
-                    presses.extend(press.and_then(|press| self.held.key(press)));
+                    presses.extend(press.and_then(|press| self.repeat.key(press)));
                 }
                 TerminalEvent::Mouse(mouse) => presses.extend(mouse_press(mouse)),
                 _ => {}
@@ -180,7 +176,7 @@ impl Input {
         }
         let is_frame = !has_key && now.duration_since(self.counted) >= FRAME;
         if is_frame {
-            presses.extend(self.held.frame());
+            presses.extend(self.repeat.frame());
         }
         if has_key || is_frame {
             self.counted = now;
@@ -211,8 +207,7 @@ pub fn is_gone(longest: Duration) -> io::Result<bool> {
         Err(error) => return Err(error.into()),
     }
     let gone = PollFlags::POLLHUP | PollFlags::POLLERR | PollFlags::POLLNVAL;
-    let seen = terminal[0].revents();
-    Ok(seen.is_some_and(|seen| seen.intersects(gone)))
+    Ok(terminal[0].revents().is_some_and(|events| events.intersects(gone)))
 }
 
 type Hook = dyn Fn(&PanicHookInfo<'_>) + Send + Sync;
@@ -221,16 +216,16 @@ type Hook = dyn Fn(&PanicHookInfo<'_>) + Send + Sync;
 ///
 /// `ratatui::init` restores the terminal in the panic hook of whatever thread panics, and the screen would go on drawing
 /// over the shell. Here a panic elsewhere is kept until the screen has left.
-struct Owned {
-    /// Never dropped: its drop shows the cursor, and panics where neither the terminal nor standard error takes a word any
-    /// more (`eprintln!` in `ratatui_core::terminal`). What it would do is done by [`give_back`].
+struct RawTerminal {
+    /// Never dropped: its drop shows the cursor, and panics where neither the terminal nor standard error accepts output
+    /// (`eprintln!` in `ratatui_core::terminal`). [`restore`] does the same without a panic.
     terminal: ManuallyDrop<Terminal<CrosstermBackend<Stdout>>>,
     takes_mouse: bool,
     previous: Arc<Hook>,
     elsewhere: Arc<Mutex<Vec<String>>>,
 }
 
-impl Owned {
+impl RawTerminal {
     /// # Errors
     /// Standard output is not a terminal, or the terminal refuses raw mode.
     fn take(takes_mouse: bool) -> io::Result<Self> {
@@ -240,14 +235,14 @@ impl Owned {
                 "standard output is not a terminal, so there is no screen (help: use --headless)",
             ));
         }
-        let terminal = enter(takes_mouse).inspect_err(|_| give_back(takes_mouse))?;
+        let terminal = enter(takes_mouse).inspect_err(|_| restore(takes_mouse))?;
         let previous: Arc<Hook> = Arc::from(std::panic::take_hook());
         let elsewhere = Arc::new(Mutex::new(Vec::new()));
         let screen = thread::current().id();
         let (after, others) = (Arc::clone(&previous), Arc::clone(&elsewhere));
         std::panic::set_hook(Box::new(move |info| {
             if thread::current().id() == screen {
-                give_back(takes_mouse);
+                restore(takes_mouse);
                 after(info);
             } else {
                 let name = thread::current().name().unwrap_or("worker").to_owned();
@@ -260,39 +255,34 @@ impl Owned {
     /// Gives the terminal back and halts the program, with everything that was started with it, until it is in the
     /// foreground again; whether it could be halted.
     fn suspend(&mut self) -> io::Result<bool> {
-        // A session leader has no shell behind it.
+        // A session leader has no shell that could resume it.
         if getsid(None) == Ok(getpid()) {
             return Ok(false);
         }
-        give_back(self.takes_mouse);
+        restore(self.takes_mouse);
         let mut is_halted = halt_group()?;
         // In the background it must not draw over the shell: it is halted again.
         while is_halted && tcgetpgrp(io::stdout()).is_ok_and(|owner| owner != getpgrp()) {
             is_halted = halt_group()?;
         }
-        // A new one draws every cell; the old one is not dropped, as ever.
+        // A new one draws every cell; the old one must not be dropped.
         self.terminal = ManuallyDrop::new(enter(self.takes_mouse)?);
         Ok(is_halted)
-    }
-
-    /// Whether a thread other than the screen's has panicked.
-    fn panicked_elsewhere(&self) -> bool {
-        !kept(&self.elsewhere).is_empty()
     }
 }
 
 /// Halts the process group as the terminal itself would: `cargo run` and this program are one job of the shell. Returns
-/// when the job goes on; whether it was halted: the system lets no group stop that nobody could bring back.
 fn halt_group() -> io::Result<bool> {
-    let goes_on = Arc::new(AtomicBool::new(false));
-    let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&goes_on))?;
+    let resumed = Arc::new(AtomicBool::new(false));
+    let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&resumed))?;
     let default = SigAction::new(SigHandler::SigDfl, SaFlags::empty(), SigSet::empty());
     #[expect(unsafe_code, reason = "there is no safe way to the default of a signal")]
     // SAFETY: the default action runs nothing of ours, and what is put back is what was there.
     let before = unsafe { sigaction(Signal::SIGTSTP, &default) }?;
     let sent = kill(Pid::from_raw(0), Signal::SIGTSTP);
+    // Up to 0.5 s: on a busy machine the signal may be delivered late.
     for _ in 0..50 {
-        if sent.is_err() || goes_on.load(Ordering::Acquire) {
+        if sent.is_err() || resumed.load(Ordering::Acquire) {
             break;
         }
         thread::sleep(Duration::from_millis(10));
@@ -302,16 +292,16 @@ fn halt_group() -> io::Result<bool> {
     unsafe { sigaction(Signal::SIGTSTP, &before) }?;
     signal_hook::low_level::unregister(watch);
     sent?;
-    Ok(goes_on.load(Ordering::Acquire))
+    Ok(resumed.load(Ordering::Acquire))
 }
 
 fn kept(messages: &Mutex<Vec<String>>) -> MutexGuard<'_, Vec<String>> {
     messages.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl Drop for Owned {
+impl Drop for RawTerminal {
     fn drop(&mut self) {
-        give_back(self.takes_mouse);
+        restore(self.takes_mouse);
         if !thread::panicking() {
             let previous = Arc::clone(&self.previous);
             drop(std::panic::take_hook());
@@ -333,7 +323,7 @@ fn enter(takes_mouse: bool) -> io::Result<Terminal<CrosstermBackend<Stdout>>> {
     Terminal::new(CrosstermBackend::new(io::stdout()))
 }
 
-fn give_back(takes_mouse: bool) {
+fn restore(takes_mouse: bool) {
     // A terminal that is gone cannot be restored, and need not be.
     let _ = disable_raw_mode();
     if takes_mouse {
@@ -393,7 +383,7 @@ mod tests {
     }
 
     #[test]
-    fn clicks_and_keys_are_answered_in_the_order_in_which_they_came() {
+    fn clicks_and_keys_are_handled_in_their_order() {
         let start = Instant::now();
         let mut input = Input::new(start);
         let click = mouse(MouseEventKind::Down(MouseButton::Left));

@@ -11,7 +11,7 @@ use crate::report::plot::axis::{Domain, plain, powers};
 use crate::report::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style as Drawing};
 use drivebench_model::text::number::significant;
 
-/// Of bounds whose values do not matter.
+/// Bounds of the values where only columns are computed.
 const UNUSED: Domain = Domain { from: 0.0, to: 1.0 };
 
 /// Draws the panels that have room. A panel that is alone has no title: the page has it.
@@ -24,11 +24,11 @@ pub(super) fn axis_chart(chart: &AxisChart, cursor: Option<f64>, area: Rect, buf
     let panels = &chart.panels[..room.min(chart.panels.len())];
     let heights = panels.iter().map(|panel| Constraint::Fill(panel.height as u16));
     let areas = Layout::vertical(heights.chain([Constraint::Length(1)])).split(area);
-    for (place, (panel, area)) in panels.iter().zip(areas.iter()).enumerate() {
+    for (index, (panel, area)) in panels.iter().zip(areas.iter()).enumerate() {
         let Some(values) = panel.values().filter(|_| area.height > 1) else {
             continue;
         };
-        let title = title(chart, panel, cursor, place == 0);
+        let title = title(chart, panel, cursor, index == 0);
         let bounds = Bounds { x: across, y: values.rounded() };
         draw(chart, panel, bounds, cursor, framed(&title, bounds.y, *area, buffer), buffer);
     }
@@ -42,7 +42,7 @@ fn spanned(chart: &AxisChart) -> Option<Domain> {
     Some(if chart.is_logarithmic { across } else { across.padded(0.02) })
 }
 
-fn beside_labels(area: Rect) -> Rect {
+fn plot_area(area: Rect) -> Rect {
     Rect { x: area.x + LABELS, width: area.width.saturating_sub(LABELS), ..area }
 }
 
@@ -51,7 +51,7 @@ pub(super) fn point_at(chart: &AxisChart, column: u16, area: Rect) -> Option<usi
     let bounds = Bounds { x: spanned(chart)?, y: UNUSED };
     let points = chart.panels.first()?.sets.first()?.points.iter().enumerate();
     let columns = points.filter_map(|(index, point)| {
-        Some((bounds.column(point.at, beside_labels(area))?.abs_diff(column), index))
+        Some((bounds.column(point.at, plot_area(area))?.abs_diff(column), index))
     });
     columns.min().map(|(_, index)| index)
 }
@@ -103,7 +103,7 @@ fn unit(chart: &AxisChart) -> &str {
     chart.axis.rsplit(", ").next().unwrap_or_default()
 }
 
-/// The value at a place, with a space before it; a gap is carried by no data.
+/// The value of a curve at the cursor, with a space before it.
 fn reading_at(set: &PointSet, at: f64) -> String {
     let point = set.points.iter().find(|point| point.at >= at);
     let value = point.filter(|point| point.is_known());
@@ -121,14 +121,14 @@ fn draw(
     inner: Rect,
     buffer: &mut Buffer,
 ) {
-    let place = |at: f64| if chart.is_logarithmic { at.log10() } else { at };
+    let abscissa = |at: f64| if chart.is_logarithmic { at.log10() } else { at };
     for (_, at) in &chart.marks {
-        vertical(place(*at), '╎', bounds, inner, buffer);
+        vertical(abscissa(*at), '╎', bounds, inner, buffer);
     }
     if let Some(at) = cursor {
-        vertical(place(at), '┊', bounds, inner, buffer);
+        vertical(abscissa(at), '┊', bounds, inner, buffer);
     }
-    let sets = panel.sets.iter().flat_map(|set| curves(set, place, bounds));
+    let sets = panel.sets.iter().flat_map(|set| curves(set, abscissa, bounds));
     let line = Trace::new(panel.line.1.clone(), Stroke::Solid, theme::SPEED);
     let traces: Vec<Trace> = sets.chain([line]).collect();
     plot(&traces, bounds, inner, buffer);
@@ -141,13 +141,12 @@ fn draw(
     }
 }
 
-/// The lines of a set: of what was measured the ends of its interval first.
-fn curves(set: &PointSet, place: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Trace> {
+/// The lines of a set; for measured points the ends of their intervals first.
+fn curves(set: &PointSet, abscissa: impl Fn(f64) -> f64, bounds: Bounds) -> Vec<Trace> {
     let line = |value: &dyn Fn(&Place) -> f64, stroke, style| {
-        let points = set
-            .points
-            .iter()
-            .map(|point| (place(point.at), if point.is_known() { value(point) } else { f64::NAN }));
+        let points = set.points.iter().map(|point| {
+            (abscissa(point.at), if point.is_known() { value(point) } else { f64::NAN })
+        });
         Trace::new(points.collect(), stroke, style)
     };
     let (.., stroke, style) = look(set);
@@ -192,7 +191,7 @@ fn axis(chart: &AxisChart, spanned: Domain, area: Rect, buffer: &mut Buffer) {
         let right = format!("{right} {unit}");
         return across([left, middle, &right], theme::DIM, area, buffer);
     }
-    let inner = beside_labels(area);
+    let inner = plot_area(area);
     let bounds = Bounds { x: spanned, y: UNUSED };
     buffer.set_stringn(area.x, area.y, format!(" {unit}"), usize::from(LABELS), theme::DIM);
     let mut free = inner.x;

@@ -17,23 +17,23 @@ use drivebench_model::text::lines::{cut, wrapped};
 const SMALLEST: (u16, u16) = (30, 6);
 const KEYS: usize = 11;
 
-/// Whether nothing can be read in this area; then one line has `word` and the key that matters most.
+/// Whether the area is too small for the page; then one line has `label` and the most important key.
 pub(super) fn is_too_small(
-    word: &str,
+    label: &str,
     key: &str,
     style: Style,
     area: Rect,
     buffer: &mut Buffer,
 ) -> bool {
-    let is = area.width < SMALLEST.0 || area.height < SMALLEST.1;
-    if is {
-        let text = format!("{word}: {}x{}, {key}", area.width, area.height);
+    let is_too_small = area.width < SMALLEST.0 || area.height < SMALLEST.1;
+    if is_too_small {
+        let text = format!("{label}: {}x{}, {key}", area.width, area.height);
         row(&Line::styled(text, style), area, buffer);
     }
-    is
+    is_too_small
 }
 
-/// One row of text; where it has no room, it ends in a mark of that.
+/// One row of text; a row that is cut ends with an ellipsis.
 pub(super) fn row(line: &Line<'_>, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     line.render(area, buffer);
@@ -44,12 +44,12 @@ pub(super) fn row(line: &Line<'_>, area: Rect, buffer: &mut Buffer) {
 
 /// Rows of text one under the other, each as [`row`]; those that have no room below are left out.
 pub(super) fn rows(lines: &[Line<'_>], area: Rect, buffer: &mut Buffer) {
-    for (line, place) in lines.iter().zip(area.rows()) {
-        row(line, place, buffer);
+    for (line, area) in lines.iter().zip(area.rows()) {
+        row(line, area, buffer);
     }
 }
 
-/// Text that is broken between words; where it has no room below, it ends in a mark of that.
+/// Text that is broken between words; a text that is cut ends with an ellipsis.
 pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
     let area = area.intersection(buffer.area);
     if area.is_empty() {
@@ -57,7 +57,7 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
     }
     let width = usize::from(area.width);
     let broken = lines.into_iter().flat_map(|line| match &line.spans[..] {
-        // What follows keeps the indentation of the first row.
+        // The next rows keep the indentation of the first row.
         [only] => {
             let style = line.style.patch(only.style);
             wrapped(&only.content, width).into_iter().map(|row| Line::styled(row, style)).collect()
@@ -75,7 +75,7 @@ pub(super) fn text(lines: Vec<Line<'static>>, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// The last lines: the answer to the last key, else the keys that fit, of which `always` is kept.
+/// The last lines: the message of the last key, else the keys that fit, of which `always` is kept.
 pub(super) fn hints(
     message: Option<&str>,
     keys: &[&str],
@@ -94,7 +94,7 @@ pub(super) fn hints(
     }
 }
 
-/// At most so many rows: the rest joins the last, which [`row`] then ends in a mark of that.
+/// At most `most` rows: the others join the last, which [`row`] cuts.
 pub(super) fn in_rows(mut rows: Vec<String>, most: usize) -> Vec<String> {
     if rows.len() > most {
         let rest = rows.split_off(most.saturating_sub(1)).join(" ");
@@ -107,13 +107,13 @@ fn message_rows(message: &str, width: usize) -> Vec<String> {
     wrapped(&format!("> {message}"), width.saturating_sub(1))
 }
 
-/// Rows that the answer to the last key takes, `most` at the most; the keys take one.
+/// Rows of the message, at most `most`; the keys take one.
 pub(super) fn hint_rows(message: Option<&str>, width: u16, most: usize) -> u16 {
     let rows = message.map_or(1, |message| message_rows(message, usize::from(width)).len());
     rows.clamp(1, most.max(1)) as u16
 }
 
-/// The keys that fit into a row: `always` is kept, of the others as many as there is room for, the first first.
+/// The keys that fit into a row, by priority; `always` is kept.
 fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
     let length = |text: &str| text.chars().count();
     let mut room = width.saturating_sub(1 + length(always));
@@ -135,7 +135,7 @@ fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
 pub(super) struct Help {
     /// First row, where the help is open.
     pub(super) first: Option<usize>,
-    /// Rows for which it had no room when it was drawn: the keys go no further.
+    /// Rows that did not fit when it was drawn: the limit of scrolling.
     hidden: Cell<usize>,
 }
 
@@ -152,7 +152,7 @@ impl Help {
         is_open
     }
 
-    /// Keys and the meaning of words over the middle of a screen, which stays live beneath.
+    /// Keys and the meaning of terms over the middle of a screen, which stays live.
     pub(super) fn draw(&self, on: On, meanings: &[&str], area: Rect, buffer: &mut Buffer) {
         if let Some(first) = self.first {
             self.hidden.set(help(on, meanings, first, area, buffer));
@@ -160,12 +160,12 @@ impl Help {
     }
 }
 
-/// The last page stays full. Returns the rows for which there is no room.
+/// The last page stays full. Returns the number of rows that do not fit.
 fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer) -> usize {
     let width = area.width.min(78);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
     let height = area.height.min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
-    let place = Rect {
+    let area = Rect {
         x: area.x + (area.width - width) / 2,
         y: area.y + (area.height - height) / 2,
         width,
@@ -180,17 +180,17 @@ fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer
         " help, any key closes it "
     };
     let title = cut(title, usize::from(width.saturating_sub(2)));
-    Clear.render(place, buffer);
+    Clear.render(area, buffer);
     let shown: Vec<Line<'static>> = lines.into_iter().skip(first).take(room).collect();
     let mut block = Block::bordered().title(title);
     if first < hidden {
         block = block.title_bottom(Line::from(" more below ").right_aligned());
     }
-    Paragraph::new(shown).block(block).render(place, buffer);
+    Paragraph::new(shown).block(block).render(area, buffer);
     hidden
 }
 
-/// Text in rows beside its label, which stands in the first of them.
+/// Text in rows with its label in the first of them.
 pub(super) fn labelled<'a>(
     label: &'a str,
     text: &str,
@@ -224,7 +224,7 @@ pub(super) fn titled(title: &str, area: Rect, buffer: &mut Buffer) -> Rect {
     titled_with(title, "", area, buffer)
 }
 
-/// The same with a word at the right end, where there is room for it.
+/// The same with a text at the right end, where there is room for it.
 pub(super) fn titled_with(title: &str, right: &str, area: Rect, buffer: &mut Buffer) -> Rect {
     let title = cut(title, usize::from(area.width).saturating_sub(2));
     let needed = title.chars().count() + right.chars().count() + 5;
@@ -250,7 +250,7 @@ pub(super) fn bar_spans(share: f64, length: usize, style: Style) -> [Span<'stati
     [Span::styled(full, style), Span::styled(empty, theme::DIM)]
 }
 
-/// The first row that is shown after a move by so many, from where the last page had room.
+/// The first row after a move by `by` rows; `hidden` rows do not fit.
 pub(super) fn scrolled(first: usize, by: i32, hidden: usize) -> usize {
     first.min(hidden).saturating_add_signed(by as isize)
 }
@@ -261,7 +261,7 @@ pub(super) fn document_lines(rows: Vec<Row>) -> impl Iterator<Item = Line<'stati
     })
 }
 
-/// A whole document under its title, from row `first` on. Returns the rows for which there is no room.
+/// A whole document under its title, from row `first` on. Returns the number of rows that do not fit.
 pub(super) fn document(
     document: &Document,
     first: usize,
@@ -274,7 +274,7 @@ pub(super) fn document(
     scrolling(&lines, first, inner, buffer)
 }
 
-/// Rows from `first` on; the last page stays full. Returns the rows for which there is no room.
+/// Rows from `first` on; the last page stays full. Returns the number of rows that do not fit.
 pub(super) fn scrolling(
     lines: &[Line<'_>],
     first: usize,

@@ -37,14 +37,14 @@ pub enum Press {
     Next,
     /// The curve that the error follows.
     Curve,
-    /// That curve as an effect without a name.
+    /// Adds that curve as a table.
     Table,
     Write,
     Traces,
     Response,
     /// The next of the places where the model is farthest off.
     Worst,
-    /// Closer, or farther away.
+    /// Zoom in, or out.
     Zoomed(bool),
     /// Along the time axis, backwards negative.
     Pan(i32),
@@ -105,7 +105,7 @@ const HELP: [(On, &str, &str); 34] = [
     (On::Live, "s", "start, where the bench waits for it"),
     (On::Every, "q", "quit, when nothing is energised"),
     (On::Every, "Ctrl-C", "stop, then quit; 3 x: leave now"),
-    (On::Every, "Ctrl-Z", "to the shell, once nothing is energised; fg comes back"),
+    (On::Every, "Ctrl-Z", "to the shell, once nothing is energised; fg returns"),
     (On::Live, "Tab 1 2 3", "screens"),
     (On::Live, "f", "freeze the view, capture goes on"),
     (On::Live, "z", "zoom the time axis"),
@@ -115,8 +115,8 @@ const HELP: [(On, &str, &str); 34] = [
     (On::Live, "Enter", "what each step needs, unlocks, and its command"),
     (On::Live, "d", "diagnosis by hand, after the run"),
     (On::Live, "v", "measured and model over time, after the run"),
-    (On::Live, "x", "the run that would tell more, after the report"),
-    (On::Live, "l", "the speed loop with what was found, after the report"),
+    (On::Live, "x", "the recommended run, after the report"),
+    (On::Live, "l", "the speed loop with the identified model, after the report"),
     (On::Diagnosis, "Enter", "the card of the effect: equation, causes, remedy"),
     (On::Diagnosis, "a", "add it: judged on the hold-out; where refused, a again forces it"),
     (On::Diagnosis, "r", "remove it: refused where it is needed"),
@@ -129,8 +129,8 @@ const HELP: [(On, &str, &str); 34] = [
     (On::Diagnosis, "o Tab", "traces: choose signals; another run, or pathway of the response"),
     (On::Response, "Tab", "the next pathway"),
     (On::Response, "Left Right", "cursor over frequency"),
-    (On::Diagnosis, "n", "what these runs do not tell, and the run that would"),
-    (On::Diagnosis, "c t", "error along its axis, the effect drawn through it; add a curve"),
+    (On::Diagnosis, "n", "open questions, and the recommended run"),
+    (On::Diagnosis, "c t", "error over its axis, with the curve of the effect; add a curve"),
     (On::Diagnosis, "u", "undo the last change by hand"),
     (On::Diagnosis, "b", "before and after the last change, in turn"),
     (On::Diagnosis, "w", "write the model to a new file"),
@@ -147,7 +147,7 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
     if key.kind == KeyEventKind::Release {
         return None;
     }
-    // Esc with another key right behind it arrives as Alt and that key: the stop must not be lost.
+    // Esc and another key at once arrive as Alt and that key: the stop must not be lost.
     if key.modifiers.contains(KeyModifiers::ALT) {
         return Some(Press::Stop);
     }
@@ -175,38 +175,38 @@ pub(super) fn press(key: KeyEvent) -> Option<Press> {
     })
 }
 
-/// Frames without a key between two of one that is held down, at the most; and before it begins to come again.
+/// Most frames between two repeats of a held key, and before its first repeat.
 const REPEAT_FRAMES: u32 = 2;
 const DELAY_FRAMES: u32 = 20;
 
-/// The stop keys of a hand that holds one down. A terminal gives that as one press after the other, so that it would ask for
-/// more than the hand does: the second of them counts when no third has come for longer than a held key takes.
+/// Filter for the auto-repeat of stop keys: a terminal reports a held key as one press after the other. The second press
+/// counts only if no third follows within the time of a repeat.
 #[derive(Debug, Default)]
-pub(super) struct Held {
+pub(super) struct KeyRepeat {
     last: Option<Press>,
-    /// Since that.
+    /// Frames since the last press.
     frames: u32,
-    /// It came a second time, and nothing shows yet whether it is held.
-    is_open: bool,
+    /// The press came a second time: held or repeated is not decided yet.
+    is_undecided: bool,
 }
 
-impl Held {
-    /// A press, unless a held key gives it or may do so.
+impl KeyRepeat {
+    /// A press, unless it is, or may be, a repeat of a held key.
     pub(super) fn key(&mut self, press: Press) -> Option<Press> {
         let is_same = self.last.replace(press) == Some(press);
         let frames = std::mem::take(&mut self.frames);
         // An effect that is refused is forced by the same key: not by one that is still held.
         let stops = matches!(press, Press::Stop | Press::Interrupt | Press::Add);
         let may_be_held = stops && is_same && frames <= DELAY_FRAMES;
-        self.is_open = may_be_held && frames > REPEAT_FRAMES;
+        self.is_undecided = may_be_held && frames > REPEAT_FRAMES;
         (!may_be_held).then_some(press)
     }
 
-    /// A frame without a key; the press that was held back and is one.
+    /// A frame without a key; returns a delayed press that was not a repeat.
     pub(super) fn frame(&mut self) -> Option<Press> {
         self.frames = self.frames.saturating_add(1);
-        let is_pressed = self.is_open && self.frames > REPEAT_FRAMES;
-        self.is_open &= !is_pressed;
+        let is_pressed = self.is_undecided && self.frames > REPEAT_FRAMES;
+        self.is_undecided &= !is_pressed;
         self.last.filter(|_| is_pressed)
     }
 }
@@ -217,22 +217,22 @@ mod tests {
 
     #[test]
     fn a_held_stop_key_is_one_press_and_a_repeated_one_is_two() {
-        // Frames before each Space, and how often a stop is asked for.
+        // Frames before each Space, and the number of stops.
         let held = [[0, 12].to_vec(), [1, 2, 0, 1].repeat(5)].concat();
         for (before, presses) in [(&held[..], 1), (&[0, 4], 2), (&[0, 3, 3], 3), (&[0, 30], 2)] {
             for press in [Press::Stop, Press::Interrupt] {
-                let mut keys = Held::default();
-                let mut told = 0;
+                let mut keys = KeyRepeat::default();
+                let mut counted = 0;
                 let last = [DELAY_FRAMES];
                 for frames in before.iter().chain(&last) {
-                    told += (0..*frames).filter_map(|_| keys.frame()).count();
-                    told += keys.key(press).iter().count();
+                    counted += (0..*frames).filter_map(|_| keys.frame()).count();
+                    counted += keys.key(press).iter().count();
                 }
                 // The last one, long after the others, is not one of them.
-                assert_eq!(told, presses, "{before:?}");
+                assert_eq!(counted, presses, "{before:?}");
             }
         }
-        let mut keys = Held::default();
+        let mut keys = KeyRepeat::default();
         let moves = (0..9).filter_map(|_| keys.key(Press::Move(1)));
         assert_eq!(moves.count(), 9, "a held arrow moves on");
     }
@@ -250,14 +250,14 @@ mod tests {
     }
 
     #[test]
-    fn a_key_has_one_meaning_and_stands_once_in_the_help() {
+    fn a_key_has_one_meaning_and_one_row_in_the_help() {
         for on in [On::Live, On::Diagnosis, On::Response] {
             let mut named: Vec<&str> = help(on).flat_map(|(keys, _)| keys.split(' ')).collect();
             named.sort_unstable();
             assert!(named.windows(2).all(|pair| pair[0] != pair[1]), "{named:?}");
         }
-        for (place, (character, press)) in CHARACTERS.iter().enumerate() {
-            let others = &CHARACTERS[place + 1..];
+        for (index, (character, press)) in CHARACTERS.iter().enumerate() {
+            let others = &CHARACTERS[index + 1..];
             let again = |key: &&(char, Press)| key.0 == *character || key.1 == *press;
             assert_eq!(others.iter().find(again), None, "{character}");
         }

@@ -1,4 +1,4 @@
-//! The terminal application: it sees snapshots, workflow states, news of an analysis and intents, never a drive.
+//! The terminal application: it handles snapshots, workflow states, news of an analysis and intents, never a drive.
 //!
 //! ```text
 //! SnapshotCell, ProgressCell, WorkerCell --\                                       /--> Intent to the bench

@@ -1,5 +1,5 @@
-//! Charts drawn with cells: lines of dots in Braille, of which every column shows the smallest and the largest value that
-//! fell into it, with round axes.
+//! Charts drawn with cells: lines of Braille dots, of which every column shows the smallest and the largest value in it, with
+//! round axes.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -20,7 +20,7 @@ pub(super) fn range(values: impl Iterator<Item = f64>) -> Option<Domain> {
     Domain::of(values.filter(|value| value.abs() < 1e15))
 }
 
-/// A chart's title, and below it the axis of its values; returns the place of its lines.
+/// A chart's title, and below it the axis of its values; returns the area of its lines.
 pub(super) fn framed(title: &Line<'_>, values: Domain, area: Rect, buffer: &mut Buffer) -> Rect {
     title_row(title, Rect { height: 1, ..area }, buffer);
     let inner = Rect {
@@ -139,7 +139,7 @@ impl Trace {
     }
 }
 
-/// What the area stands for: across and upwards.
+/// The ranges of an area: across and upwards.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Bounds {
     pub(super) x: Domain,
@@ -236,17 +236,17 @@ fn columns(
             before = None;
             continue;
         }
-        let here = position(time_s);
+        let at = position(time_s);
         // The last instant belongs to the last column.
-        put(here.min(here.floor().max(count as f64 - 1.0)), value);
+        put(at.min(at.floor().max(count as f64 - 1.0)), value);
         if let Some((last_s, last)) = before
             && (0.0..=longest_s).contains(&(time_s - last_s))
         {
-            let there = position(last_s);
-            let first = there.max(0.0).floor() + 1.0;
-            for edge in first as usize..=(here.min(count as f64).max(0.0) as usize) {
+            let last_at = position(last_s);
+            let first = last_at.max(0.0).floor() + 1.0;
+            for edge in first as usize..=(at.min(count as f64).max(0.0) as usize) {
                 let edge = edge as f64;
-                let share = ((edge - there) / (here - there)).clamp(0.0, 1.0);
+                let share = ((edge - last_at) / (at - last_at)).clamp(0.0, 1.0);
                 if share.is_finite() {
                     let between = last + share * (value - last);
                     put(edge - 0.5, between);
@@ -259,7 +259,7 @@ fn columns(
     columns
 }
 
-/// Step of time from which on there is a gap: so many times the median one of up to [`2000`]; infinite where there are not
+/// Step of time from which on there is a gap: so many times the median one of up to 2000; infinite where there are not
 /// two points. `at` gives the time of each of `count` points.
 pub(super) fn longest_step_s(count: usize, at: impl Fn(usize) -> f64) -> f64 {
     let steps = (1..count).step_by(count.div_ceil(2000).max(1)).map(|k| at(k) - at(k - 1));
@@ -283,7 +283,7 @@ mod tests {
         Bounds { x: Domain { from: 0.0, to: 10.0 }, y: Domain { from: -1.0, to: 1.0 } };
 
     #[test]
-    fn a_spike_of_one_row_is_seen_however_many_rows_a_column_holds() {
+    fn a_spike_of_one_row_is_drawn_however_many_rows_a_column_has() {
         let points: Vec<_> = (0..10_000)
             .map(|row| (f64::from(row) * 1e-3, if row == 4321 { 0.9 } else { 0.0 }))
             .collect();
@@ -301,9 +301,9 @@ mod tests {
             .map(|second| (f64::from(second), if second == 4 { f64::NAN } else { 0.5 }))
             .collect();
         let columns = columns(&points, longest(&points), BOUNDS, 20);
-        let seen: String =
+        let drawn: String =
             columns.iter().map(|column| if column.is_some() { '#' } else { '.' }).collect();
-        assert_eq!(seen, "#######...###.....#.");
+        assert_eq!(drawn, "#######...###.....#.");
     }
 
     #[test]

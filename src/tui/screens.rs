@@ -1,4 +1,4 @@
-//! Every page of every screen at four sizes, and in colours that a white background does not swallow.
+//! Every page of every screen at four sizes, and the contrast of its colours on a white background.
 
 use insta::assert_snapshot;
 use ratatui::Frame;

@@ -1,5 +1,5 @@
-//! Colours, each beside a word or a mark that says the same. They are the terminal's sixteen, made for a dark background;
-//! on a light one each has another in its place that is dark enough.
+//! Colours; each repeats what a text or a mark shows. They are the terminal's sixteen, for a dark background; on a light one
+//! each is replaced by a darker one.
 
 use ratatui::buffer::Buffer;
 use ratatui::style::{Color, Style};
@@ -16,7 +16,7 @@ pub(super) const BAD: Style = Style::new().red().bold();
 /// For what must not be overlooked, and the key that stops.
 pub(super) const ALARM: Style = Style::new().white().on_red().bold();
 
-/// A model that is too low, or too high, beside the measurement.
+/// A model that is too low, or too high, compared with the measurement.
 pub(super) const TOO_LOW: Style = Style::new().red();
 pub(super) const TOO_HIGH: Style = Style::new().light_blue();
 

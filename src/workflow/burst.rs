@@ -1,6 +1,6 @@
-//! Identification from a burst, of what the loop is too slow to see: resistance, inductance, effects in the circuit.
+//! Identification of the electrical circuit from a burst: resistance, inductance, voltage effects.
 //!
-//! The loop samples at 10 ms and more, and the current has settled within L/R. A burst shows the whole transient.
+//! The exchanges of a run sample at 10 ms and more, when the current has settled (L/R). A burst shows the whole transient.
 
 use std::fmt::Write as _;
 
@@ -24,18 +24,18 @@ pub struct BurstResult {
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
     pub effects: Vec<&'static str>,
-    /// Each of those with one that the burst alone does not distinguish from it: it has one direction.
+    /// Each of those with one that the burst alone, which has one direction, does not distinguish from it.
     #[serde(skip)]
     confusable: Vec<[&'static str; 2]>,
-    /// How well that equation holds, or why it was not fitted; never what is missing in the machine.
+    /// The residual of the voltage equation, or why it was not fitted; then the comparison with the diagnosis.
     pub sentence: String,
 }
 
 impl BurstResult {
-    /// Fits the circuit to a burst by itself. Where the burst carries no inductance there is none in the result.
+    /// Fits the circuit to a burst alone. An inductance that is not observable in it has no value in the result.
     pub fn of(nameplate: &Model, burst: &Scenario, capture: String) -> Self {
         let found = circuit(nameplate, burst).unwrap_or_else(|error| Self {
-            sentence: format!("it tells nothing: {error}"),
+            sentence: format!("no result: {error}"),
             ..Self::default()
         });
         Self { capture, rows: burst.samples(), rate_hz: rate_hz(burst), ..found }
@@ -45,8 +45,7 @@ impl BurstResult {
         self.parameters.iter().find(|own| own.key == key.key())?.value
     }
 
-    /// The model from which the loop's own runs are fitted: what they do not carry stays as the burst has it.
-    /// No motor has a negative one.
+    /// The start of the fits to the runs, with the inductance of the burst unless it is negative (not physical).
     pub fn improve(&self, mut model: Model) -> Model {
         if let Some(inductance_h) = self.value(MotorKey::Inductance).filter(|value| *value > 0.0) {
             model.motor.set(MotorKey::Inductance, inductance_h);
@@ -54,8 +53,8 @@ impl BurstResult {
         model
     }
 
-    /// Beside the diagnosis of the runs, which decides what is missing: the burst is of the circuit alone, and of one moment. Of two
-    /// effects that the burst does not distinguish it is the one that the runs name.
+    /// Compares with the diagnosis of the runs, which decides: the burst is short and of the circuit alone. Of two effects that
+    /// the burst does not distinguish, the one that the runs name is kept.
     #[must_use]
     pub fn with_diagnosis(mut self, diagnosis: &Diagnosis) -> Self {
         let names = |id: &str| diagnosis.effects.contains(&id);
@@ -68,19 +67,19 @@ impl BurstResult {
         for id in &self.effects {
             let named = diagnosis.effects.contains(id);
             let judged = diagnosis.candidates.iter().find(|c| c.effect == *id);
-            let says = match judged.map(|candidate| candidate.status) {
+            let text = match judged.map(|candidate| candidate.status) {
                 _ if named => "the runs show it too",
                 Some(Status::NotExcited) | None => "the runs would not show it",
                 Some(Status::Supported | Status::Possible) => "the runs leave it open",
                 Some(Status::RuledOut) => "the runs rule it out",
             };
-            let _ = write!(self.sentence, "; {id}: {says}");
+            let _ = write!(self.sentence, "; {id}: {text}");
         }
-        self.sentence.push_str("; what is missing the diagnosis says, from all runs");
+        self.sentence.push_str("; the diagnosis of all runs decides");
         self
     }
 
-    /// The result of the burst for the end of the loop.
+    /// The result of the burst for the end of the commissioning.
     pub fn text(&self) -> String {
         let figure = |own: &ParameterEstimate| {
             let text = with_std(own.value?, own.std?);
@@ -100,17 +99,17 @@ impl BurstResult {
 /// Error of the voltage equation in units of its noise up to which it holds.
 const HOLDS_TIMES_NOISE: f64 = 1.15;
 
-/// The voltage equation alone, with the measured speed in it: in the first moments after a standstill a shaft sticks, slips
-/// and winds up, and a free run would put what its load does into the inductance.
+/// The voltage equation alone, with the measured speed in it: just after a standstill the shaft sticks, slips and twists,
+/// and in a free run the load would bias the inductance.
 fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError> {
     let model = start::complete(nameplate, burst)?;
     let plain = VoltageBalance::of(&model, burst);
     if let Some(reason) = plain.missing_reason() {
-        return Ok(plain.result(None, format!("it tells nothing: {reason}")));
+        return Ok(plain.result(None, format!("no result: {reason}")));
     }
-    let leaves = format!("its voltage equation leaves {}", plain.level());
+    let residual = format!("the residual of its voltage equation is {}", plain.level());
     if plain.over_noise.is_some_and(|over| over <= HOLDS_TIMES_NOISE) {
-        return Ok(plain.result(None, leaves));
+        return Ok(plain.result(None, residual));
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
     let mut with = diagnosis.model.model;
@@ -121,7 +120,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(is_significant).collect();
     // Effects that leave more than 0.7 of the error explain too little of it.
     if found.is_empty() || better.rms_v > 0.7 * plain.rms_v {
-        return Ok(plain.result(None, leaves));
+        return Ok(plain.result(None, residual));
     }
     let mut confusable = diagnosis.confusable;
     confusable.retain(|pair| found.contains(&pair[0]));
@@ -130,7 +129,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
         std::iter::once(*id).chain(rivals.map(|pair| pair[1])).collect::<Vec<&str>>().join(" or ")
     };
     let names = found.iter().map(either).collect::<Vec<_>>().join(" and ");
-    let sentence = format!("{leaves}, and with {names} {}", better.level());
+    let sentence = format!("{residual}, and with {names} {}", better.level());
     Ok(BurstResult { effects: found, confusable, ..better.result(Some(&names), sentence) })
 }
 
@@ -178,16 +177,16 @@ impl VoltageBalance {
         self.parameters.iter().filter(|p| p.key.starts_with(&prefix)).any(is_certain)
     }
 
-    /// Resistance and inductance; not settled where the equation misses something, or holds only with effects: in what
-    /// range of the current a drop builds up is no part of its equation, and goes into both.
+    /// Resistance and inductance; not settled where the residual exceeds the noise, or does so without effects: the range of
+    /// the current in which a voltage drop builds up is not in its equation, and biases both.
     fn result(self, effects: Option<&str>, sentence: String) -> BurstResult {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
         let doubt = match self.over_noise.filter(|over| *over > HOLDS_TIMES_NOISE) {
             Some(over) => Some(format!(
-                "the voltage equation of the burst leaves {} times its noise: something is missing in it",
+                "the residual of the voltage equation of the burst is {} times its noise: an effect is missing",
                 fixed(over, 2)
             )),
-            None => effects.map(|effects| format!("it rests on the form of {effects}")),
+            None => effects.map(|effects| format!("it depends on the form of {effects}")),
         };
         let mut parameters = self.parameters;
         parameters.retain(|estimate| electrical.contains(&estimate.key.as_str()));
@@ -237,7 +236,7 @@ mod tests {
         Scenario::from_run(&run).unwrap()
     }
 
-    fn plate() -> Model {
+    fn nameplate() -> Model {
         let motor = Motor::new("locked")
             .with(MotorKey::Resistance, 1.0)
             .with(MotorKey::Inductance, 0.02)
@@ -249,32 +248,32 @@ mod tests {
 
     #[test]
     fn the_inductance_of_a_burst_is_that_of_its_transient() {
-        let result = BurstResult::of(&plate(), &burst(0.0099), "capture-01.csv".to_owned());
+        let result = BurstResult::of(&nameplate(), &burst(0.0099), "capture-01.csv".to_owned());
         let inductance_h = result.value(MotorKey::Inductance).unwrap();
         assert!((inductance_h / 0.0099 - 1.0).abs() < 0.01, "{result:?}");
         assert!((result.rate_hz - RATE_HZ).abs() < 1.0);
-        assert_eq!(result.improve(plate()).motor.get(MotorKey::Inductance), Some(inductance_h));
+        assert_eq!(result.improve(nameplate()).motor.get(MotorKey::Inductance), Some(inductance_h));
         assert!(result.text().starts_with("1000 samples at 10000 Hz"));
     }
 
     #[test]
     fn a_negative_inductance_of_a_burst_improves_nothing() {
-        let mut result = BurstResult::of(&plate(), &burst(0.0099), "c".to_owned());
+        let mut result = BurstResult::of(&nameplate(), &burst(0.0099), "c".to_owned());
         for own in &mut result.parameters {
             own.value = Some(-0.001);
         }
-        assert_eq!(result.improve(plate()).motor, plate().motor);
+        assert_eq!(result.improve(nameplate()).motor, nameplate().motor);
     }
 
     #[test]
     fn friction_at_breakaway_is_no_part_of_the_inductance() {
         let mut truth = Model::baseline(Motor::zk_22fc()).with_effect("stribeck_friction").unwrap();
         truth.effects[0].values = vec![Some(0.16), Some(10.0)];
-        // Steps of 1 V each 10 ms after a moment at rest, as the loop climbs to its first level.
+        // Steps of 1 V each 10 ms after a moment at rest, as the commands rise to the first level.
         let climb = (1..30).map(|step| (0.01 * f64::from(step), f64::from(step)));
         let events = std::iter::once((0.0, 0.0)).chain(climb).collect();
         let burst = testing::record(&truth, events, 1e-4, 0.3, 4);
-        let result = BurstResult::of(&plate(), &burst, "c".to_owned());
+        let result = BurstResult::of(&nameplate(), &burst, "c".to_owned());
         let inductance = result.parameters.iter().find(|p| p.key == "inductance_h");
         let estimate = inductance.unwrap();
         let (value, std) = (estimate.value.unwrap(), estimate.std.unwrap());
@@ -291,24 +290,24 @@ mod tests {
     }
 
     #[test]
-    fn what_rests_on_the_form_of_an_effect_is_not_settled() {
-        let balance = || VoltageBalance::of(&plate(), &burst(0.0099));
-        let settled = |told: BurstResult| {
-            told.parameters.iter().any(|p: &ParameterEstimate| p.verdict == Verdict::Settled)
+    fn a_value_that_depends_on_the_form_of_an_effect_is_not_settled() {
+        let balance = || VoltageBalance::of(&nameplate(), &burst(0.0099));
+        let settled = |result: BurstResult| {
+            result.parameters.iter().any(|p: &ParameterEstimate| p.verdict == Verdict::Settled)
         };
         assert!(settled(balance().result(None, String::new())));
         assert!(!settled(balance().result(Some("voltage_drop"), String::new())));
     }
 
     #[test]
-    fn a_burst_that_tells_nothing_says_so_and_changes_nothing() {
+    fn a_burst_at_standstill_changes_nothing() {
         let mut run = Run::new("burst", (0..50).map(|k| f64::from(k) / RATE_HZ).collect()).unwrap();
         for channel in [Channel::Voltage, Channel::Current, Channel::Speed] {
             run.set_column(channel, vec![0.0; 50], Origin::Measured).unwrap();
         }
         let still = Scenario::from_run(&run).unwrap();
-        let result = BurstResult::of(&plate(), &still, "c".to_owned());
+        let result = BurstResult::of(&nameplate(), &still, "c".to_owned());
         assert_eq!(result.value(MotorKey::Inductance), None, "{result:?}");
-        assert_eq!(result.improve(plate()).motor, plate().motor);
+        assert_eq!(result.improve(nameplate()).motor, nameplate().motor);
     }
 }

@@ -1,5 +1,5 @@
-//! The commissioning loop: which task comes next, the part that finds an unknown motor (which stage comes next, what is handed
-//! on), the analysis between the tasks, what a screen shows of it, and what it leaves behind.
+//! State machine of the commissioning: its tasks, the stages that find an unknown motor, the analysis of the runs, the
+//! progress for a screen, and the result.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -8,7 +8,7 @@ use serde::Serialize;
 
 use super::burst::BurstResult;
 use super::discovery::Discovery;
-use super::guide::{Called, Role, Step};
+use super::guide::{CommandContext, Role, Step};
 use super::keyed::with_keys;
 use super::next_bench::{experiment_limits, next_bench};
 use super::truth::Truth;
@@ -34,21 +34,21 @@ use drivebench_model::text::shell::quoted;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Task {
-    /// Open the link, ask who is there, prove the watchdog.
+    /// Open the link, identify the drive, prove the watchdog.
     Check,
     Escalate,
     Plan,
     Record(Role),
-    /// Call [`Commission::analyse`]; it takes seconds and needs nothing from outside.
+    /// Call [`Commission::analyse`], which takes seconds.
     Analyse,
     Save,
     Finished,
 }
 
-/// Begin of the line of a tuning that came to nothing.
+/// Begin of the line of a tuning without a result.
 const NO_GAINS: &str = "no gains";
 
-/// The loop with everything that it has gathered so far.
+/// The commissioning with its data so far.
 pub struct Commission {
     nameplate: Model,
     steps: Vec<StepView>,
@@ -57,33 +57,33 @@ pub struct Commission {
     runs: Vec<RunRecord>,
     online: Vec<ParameterEstimate>,
     result: Option<CommissionResult>,
-    /// What the emulator carries, for scoring the answer at the end. The analysis never sees it.
+    /// The hidden effects of the emulator, for scoring the diagnosis at the end; not used by the analysis.
     truth: Option<Vec<TrueEffect>>,
-    /// The bench of the loop, which a recommended run is for.
+    /// The bench, also of the recommended run.
     bench: BenchFile,
     discovery: Option<Discovery>,
     /// The nameplate, whatever the fits start from.
-    plate: Motor,
+    nameplate_motor: Motor,
     escalation: Option<EscalationResult>,
     /// A burst of the first run, and where it is kept.
     burst: Option<(Scenario, String)>,
-    called: Called,
+    context: CommandContext,
 }
 
 impl Commission {
     /// `nameplate` is where the fits start; what it leaves out is found from the data. An `unknown` motor is found from
-    /// small steps before the plan. A next run is recommended for the `bench` of the loop where one would help; the
-    /// answer is scored by the `truth` of an emulator. `called` is for the commands of the single steps.
+    /// small steps before the plan. A next run is recommended for the `bench` where one would help; the
+    /// diagnosis is scored by the `truth` of an emulator. `context` is for the commands of the single steps.
     pub fn new(
         nameplate: Model,
         unknown: bool,
         bench: BenchFile,
         truth: Option<Vec<TrueEffect>>,
-        called: Called,
+        context: CommandContext,
     ) -> Self {
         let steps = Step::all(unknown);
         let mut commission = Self {
-            plate: nameplate.motor.clone(),
+            nameplate_motor: nameplate.motor.clone(),
             escalation: None,
             burst: None,
             nameplate,
@@ -96,9 +96,9 @@ impl Commission {
             truth,
             bench,
             discovery: None,
-            called,
+            context,
         };
-        commission.step_is(Step::Connect, StepState::Active, "");
+        commission.set_step(Step::Connect, StepState::Active, "");
         commission
     }
 
@@ -110,7 +110,7 @@ impl Commission {
         let steps = self
             .steps
             .iter()
-            .map(|step| StepView { command: step.step.command(&self.called), ..step.clone() });
+            .map(|step| StepView { command: step.step.command(&self.context), ..step.clone() });
         Progress { steps: steps.collect(), report: None, finished: self.task == Task::Finished }
     }
 
@@ -118,7 +118,7 @@ impl Commission {
         self.result.as_ref()
     }
 
-    /// The runs of the loop for a person who goes on by hand; none before the analysis.
+    /// The runs for a diagnosis by hand; none before the analysis.
     pub const fn discovery(&self) -> Option<&Discovery> {
         self.discovery.as_ref()
     }
@@ -128,7 +128,7 @@ impl Commission {
         &self.scenarios
     }
 
-    /// The drive has answered: what fails from here on are its checks.
+    /// The drive has replied: a failure from here on is one of its checks.
     pub fn answered(&mut self, name: &str) {
         self.step_done(Step::Connect, name, Task::Check);
     }
@@ -157,10 +157,10 @@ impl Commission {
     }
 
     pub fn escalating(&mut self, line: &str) {
-        self.step_is(Step::Find, StepState::Active, line);
+        self.set_step(Step::Find, StepState::Active, line);
     }
 
-    /// The motor was found: the rest starts from it.
+    /// The motor was found: the next steps use it.
     pub fn escalated(&mut self, found: Motor, result: EscalationResult) {
         self.nameplate = Model::baseline(found);
         let line = result.sentence.clone();
@@ -170,7 +170,7 @@ impl Commission {
 
     pub fn planned(&mut self, plan: &Plan) {
         let line = format!(
-            "peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} turns away, {:.1} s each run",
+            "peak {:.1} A ({:.1} times rated), {:.0} rad/s, {:.0} turns of travel, {:.1} s each run",
             plan.peak_current_a,
             plan.peak_current_ratio,
             plan.peak_speed_rad_s,
@@ -196,7 +196,7 @@ impl Commission {
             self.online = online;
         }
         self.scenarios.push(scenario);
-        self.called.runs.extend(run.folder.clone());
+        self.context.runs.extend(run.folder.clone());
         self.runs.push(run);
         let next = Role::ALL.get(index + 1).map_or(Task::Analyse, |role| Task::Record(*role));
         self.step_done(Step::Record(role), &line, next);
@@ -254,10 +254,10 @@ impl Commission {
             next.bench = next.recipe.as_ref().map(file);
         }
         diagnosis.next_experiment = next;
-        // The diagnosis by hand begins with this answer.
+        // The diagnosis by hand begins with this result.
         let discovery = Discovery::new(nameplate, evidence).with_answer(diagnosis.clone());
         self.discovery = Some(discovery.with_limits(limits));
-        self.called.effect = diagnosis.effect;
+        self.context.effect = diagnosis.effect;
         let sentence = wording::diagnosis::diagnosis(&diagnosis);
         self.step_done(Step::Diagnose, &sentence, Task::Analyse);
         publish(self.progress());
@@ -289,7 +289,7 @@ impl Commission {
             parameters_before: diagnosis.baseline.parameters.clone(),
             parameters: diagnosis.model.parameters.clone(),
             online: self.online.clone(),
-            nameplate: compared(&self.plate, &diagnosis.model.parameters),
+            nameplate: compared(&self.nameplate_motor, &diagnosis.model.parameters),
             escalation: self.escalation.clone(),
             burst: burst.map(|burst| burst.with_diagnosis(&diagnosis)),
             ladder: diagnosis.ladder.clone(),
@@ -303,7 +303,7 @@ impl Commission {
         Ok(())
     }
 
-    /// Gains of the bench's speed loop for the model that was found, with one cycle of delay: why they are what they are.
+    /// Reasons of the gains of the bench's speed loop for the identified model, with one cycle of delay.
     fn tuned(&self, diagnosis: &Diagnosis) -> Result<Vec<String>, String> {
         let section = self.bench.speed.as_ref().ok_or("the bench file has no [speed]")?;
         let reference = self.bench.reference(section).map_err(|error| error.to_string())?;
@@ -329,7 +329,7 @@ impl Commission {
         design.regulator().map_or_else(|error| Err(error.to_string()), |found| Ok(found.reasons))
     }
 
-    /// Everything is written. What can follow on request is offered.
+    /// Everything is written. The steps on request are offered.
     pub fn saved(&mut self, line: &str) {
         self.step_done(Step::Report, line, Task::Finished);
         let next = self.result.as_ref().and_then(|result| result.diagnosis.next_experiment.clone());
@@ -345,18 +345,18 @@ impl Commission {
         let refused = self.bench.check_speed("the bench file", "").err();
         let refused = refused.map(|error| error.to_string());
         let offer = match (tuned, refused.as_deref()) {
-            _ if is_unknown => Err("put what was found into [motor] first"),
+            _ if is_unknown => Err("write the values that were found into [motor] first"),
             (Some(step), _) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
             (_, Some(refused)) => Err(refused),
-            _ => Ok("with the model that was found"),
+            _ => Ok("with the identified model"),
         };
         self.offered(Step::SpeedLoop, offer);
     }
 
     fn offered(&mut self, step: Step, offer: Result<&str, &str>) {
         match offer {
-            Ok(line) => self.step_is(step, StepState::Offered, line),
-            Err(reason) => self.step_is(step, StepState::Withheld, reason),
+            Ok(line) => self.set_step(step, StepState::Offered, line),
+            Err(reason) => self.set_step(step, StepState::Withheld, reason),
         }
     }
 
@@ -369,7 +369,7 @@ impl Commission {
         self.task = Task::Finished;
     }
 
-    fn step_is(&mut self, step: Step, state: StepState, line: &str) {
+    fn set_step(&mut self, step: Step, state: StepState, line: &str) {
         if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
             own.state = state;
             line.clone_into(&mut own.line);
@@ -377,7 +377,7 @@ impl Commission {
     }
 
     fn step_done(&mut self, step: Step, line: &str, next: Task) {
-        self.step_is(step, StepState::Done, line);
+        self.set_step(step, StepState::Done, line);
         let index = self.steps.iter().position(|own| own.step == step);
         if let Some(following) = index.and_then(|index| self.steps.get_mut(index + 1)) {
             following.state = StepState::Active;
@@ -398,7 +398,7 @@ pub enum StepState {
     Withheld,
 }
 
-/// One step of the loop with its figure, or its reason.
+/// One step with its figure, or its reason.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct StepView {
     pub step: Step,
@@ -425,8 +425,8 @@ impl Progress {
     pub fn is_offered(&self, step: Step) -> Result<(), &str> {
         match self.steps.iter().find(|own| own.step == step) {
             Some(own) if own.state == StepState::Offered => Ok(()),
-            // Once more: a loop is often run again, and a run that could not be judged is made again. Where no run is left
-            // to make, there is no command that makes it.
+            // A speed loop may be repeated, and so may a run that could not be judged. Without a command there is no run
+            // left to make.
             Some(own)
                 if matches!(own.state, StepState::Done | StepState::Failed)
                     && step.is_on_request()
@@ -439,14 +439,14 @@ impl Progress {
         }
     }
 
-    /// With which bench file a step that was done can follow again; none where it cannot.
+    /// Sets the bench file with which a step can be repeated; `None` where it cannot.
     pub fn follows(&mut self, step: Step, file: Option<&Path>) {
         if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
             own.command = file.map(|file| format!("drivebench run {}", quoted(file)));
         }
     }
 
-    /// What came of a step that was done on request.
+    /// Records the result of a step that was done on request.
     pub fn done_on_request(&mut self, step: Step, outcome: Result<String, String>) {
         if let Some(own) = self.steps.iter_mut().find(|own| own.step == step) {
             (own.state, own.line) = match outcome {
@@ -481,15 +481,15 @@ pub struct CommissionResult {
     pub parameters_before: Vec<ParameterEstimate>,
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
-    /// What the on-line estimators had found by the end of the fit run.
+    /// The on-line estimates at the end of the fit run.
     #[serde(serialize_with = "with_keys")]
     pub online: Vec<ParameterEstimate>,
-    /// What was found against the plate, where there is one.
+    /// The found values compared with the nameplate, where there is one.
     #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
     pub nameplate: Option<Comparison>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub escalation: Option<EscalationResult>,
-    /// The result of a burst, where the loop is slower than the current.
+    /// The result of a burst, where the exchanges are slower than the current.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub burst: Option<BurstResult>,
     /// Errors on the selecting run, one rung for each model.
@@ -500,7 +500,7 @@ pub struct CommissionResult {
     pub truth: Option<Truth>,
 }
 
-/// One stage with the place of its record.
+/// One stage with the folder of its record.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageRecord {
     #[serde(flatten)]
@@ -513,23 +513,23 @@ pub struct StageRecord {
 #[derive(Clone, Debug)]
 pub struct Escalate {
     escalation: Escalation,
-    plate: Motor,
+    nameplate_motor: Motor,
     records: Vec<StageRecord>,
 }
 
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct EscalationResult {
-    /// `found`, or the name of what is in the way.
+    /// `found`, or the name of the reason why not.
     pub outcome: &'static str,
     pub sentence: String,
     pub stages: Vec<StageRecord>,
     #[serde(serialize_with = "with_keys")]
     pub parameters: Vec<ParameterEstimate>,
-    /// Found against the plate; none where the plate has no value or nothing was found.
+    /// The found values compared with the nameplate; none where it has no value or nothing was found.
     #[serde(serialize_with = "json::plate")]
     pub nameplate: Option<Comparison>,
     pub ending: Option<Ending>,
-    /// The sequence as it was fitted to the motor.
+    /// The sequence as it was scaled to the motor.
     pub scaled: Option<Scaled>,
     #[serde(skip)]
     pub motor: Option<Motor>,
@@ -539,7 +539,7 @@ impl Escalate {
     pub fn new(bench: &BenchFile) -> Self {
         Self {
             escalation: Escalation::new(bounds(bench)),
-            plate: bench.motor.motor(),
+            nameplate_motor: bench.motor.motor(),
             records: Vec::new(),
         }
     }
@@ -549,7 +549,7 @@ impl Escalate {
         self.escalation.stage()
     }
 
-    /// Takes the record of the stage and returns what came of it.
+    /// Evaluates the record of the stage.
     pub fn ran(&mut self, run: &Run, folder: Option<String>) -> Result<StageRecord, ScenarioError> {
         let reason = self.stage().map(|stage| stage.reason.clone());
         self.escalation.learn(run)?;
@@ -578,14 +578,15 @@ impl Escalate {
             }
             Some(Outcome::Found(found)) => {
                 result.outcome = "found";
-                result.nameplate = compared(&self.plate, &found.parameters);
-                let plate = match &result.nameplate {
+                result.nameplate = compared(&self.nameplate_motor, &found.parameters);
+                let nameplate_motor = match &result.nameplate {
                     None => "",
                     Some(comparison) if comparison.fits => ", its nameplate fits",
                     Some(_) => ", its nameplate does NOT fit",
                 };
                 let stages = self.records.len();
-                result.sentence = format!("the motor was found in {stages} stages{plate}");
+                result.sentence =
+                    format!("the motor was found in {stages} stages{nameplate_motor}");
                 result.parameters.clone_from(&found.parameters);
                 result.motor = Some(found.motor.clone());
             }
@@ -595,12 +596,12 @@ impl Escalate {
 }
 
 impl EscalationResult {
-    /// The nameplate with which the rest of the loop is planned.
+    /// The nameplate with which the next steps are planned.
     pub fn found(&self, bench: &BenchFile) -> Option<Nameplate> {
         bench.motor.with_found(self.motor.as_ref()?)
     }
 
-    /// Fits the bench's sequence to the motor that was found; the refusal where nothing fits.
+    /// Scales the bench's sequence to the motor that was found; the refusal where even the smallest exceeds a limit.
     pub fn scale(
         &mut self,
         bench: &BenchFile,
@@ -618,7 +619,7 @@ impl EscalationResult {
         })
     }
 
-    /// Puts what was found under a label, and its stages, which are not on the card.
+    /// Puts the result under a label, and its stages, which are not on the card.
     pub fn put(&self, label: &str, document: &mut Document) {
         document.say(label, [self.sentence.as_str()], 1);
         let stages = self.stages.iter().enumerate().map(|(index, StageRecord { stage, .. })| {
@@ -633,7 +634,7 @@ impl EscalationResult {
 /// Why and how far the sequence was made smaller.
 pub fn scaled_sentence(scaled: &Scaled) -> String {
     match &scaled.refusal {
-        None => "the sequence fits the motor as it stands in the bench file".to_owned(),
+        None => "the sequence of the bench file fits the motor unchanged".to_owned(),
         Some(refusal) => format!(
             "the sequence is run at {:.0} % of its voltages and {:.0} V/s: unchanged it would cross a limit ({refusal})",
             100.0 * scaled.factor,
@@ -642,8 +643,8 @@ pub fn scaled_sentence(scaled: &Scaled) -> String {
     }
 }
 
-/// The comparison with the plate, where the plate has a value.
-pub fn compared(plate: &Motor, found: &[ParameterEstimate]) -> Option<Comparison> {
-    let comparison = nameplate::compare(plate, found);
+/// The comparison with the nameplate, where it has a value.
+pub fn compared(nameplate_motor: &Motor, found: &[ParameterEstimate]) -> Option<Comparison> {
+    let comparison = nameplate::compare(nameplate_motor, found);
     comparison.rows.iter().any(|row| row.nameplate.is_some()).then_some(comparison)
 }

@@ -1,11 +1,11 @@
-//! The diagnosis as a conversation: what is missing? add it; what is missing now?
+//! The diagnosis by hand: search for missing effects, add or remove one, search again.
 //!
 //! ```text
 //! Order -> Discovery::carry_out -> News, published as it comes, from any thread
 //! ```
 //!
-//! Pure: it owns a model and its evidence, and knows no thread, file or screen. What has no name yet is held by a learned
-//! curve as an effect of the model.
+//! Pure: a model and its evidence, without thread, file or screen. An error without a known cause can be described by a
+//! fitted curve, as an effect of the model.
 
 use drivebench_diagnose::{
     self as diagnosis, AddResult, AxisMap, Comparison, Diagnosis, EffectCurve, ErrorOf, Event,
@@ -19,27 +19,27 @@ use drivebench_model::plant::{Effect, Input, Model, Scenario, Slot};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Order {
-    /// The model as it is beside the runs, without a search for what it misses.
+    /// Compares the present model with the runs, without a search for effects.
     Compare(ErrorOf),
     Diagnose,
     Add(&'static str),
-    /// The same where the runs do not ask for it.
+    /// The same where the runs do not need it.
     Force(&'static str),
     Remove(&'static str),
     Undo,
-    /// The curve that the error follows, by its place in the diagnosis' axis map, as an effect without a name.
+    /// The curve of the error, by its index in the diagnosis' axis map, as a table effect.
     AddCurve(usize),
     Respond,
-    /// Keep the model; carried out by the owner of the files.
+    /// Write the model; carried out by the owner of the files.
     Write,
 }
 
 #[derive(Clone, Debug)]
 pub enum News {
     Progress(Event),
-    /// The fitted model beside the hold-out: how good it is and where it fails.
+    /// The fitted model compared with the hold-out: how good it is and where it fails.
     Compared(Box<Comparison>),
-    /// Every signal, measured and of the model as it stands.
+    /// Every signal, measured and of the present model.
     Traced(Box<Traces>),
     /// The curves of the effects in the model and of the candidates that have a size; one without an effect is the error
     /// alone.
@@ -49,12 +49,12 @@ pub enum News {
     Recommended(Option<Box<NextExperiment>>),
     Added(Box<AddResult>),
     Removed(Box<AddResult>),
-    /// The last change was taken back: what was changed, and the effects that the model has now.
+    /// The last change was undone: the changed effect, and the effects that the model has now.
     Undone {
         effect: &'static str,
         present: Vec<&'static str>,
     },
-    /// The frequency response of the run, the model's beside it where there is a complete one; or why there is none.
+    /// The frequency response of the run, with that of the model where it is complete; or why there is none.
     Responded(Result<Box<Compared>, String>),
     Written(String),
     NotWritten(String),
@@ -72,24 +72,24 @@ pub struct Discovery {
     limits: Option<ExperimentLimits>,
     fitted: Option<Fitted>,
     ladder: Vec<Rung>,
-    /// What the error of the model as it stands follows.
+    /// The axis maps of the error of the present model.
     curves: Vec<AxisMap>,
-    /// The answer that there is already; taken at the first question.
+    /// A diagnosis that is known already; used for the first order.
     known: Option<Box<Diagnosis>>,
-    /// What the runs have beside the signals of the model.
+    /// Channels of the runs besides the signals of the model.
     recorded: RecordedChannels,
-    /// The traces of the model as it stands have been published.
+    /// The traces of the present model have been published.
     is_traced: bool,
-    /// The answer to the model as it stands, with the run that it recommends.
+    /// The diagnosis of the present model, with its recommended run.
     latest: Option<Box<Diagnosis>>,
     /// An effect that was added, with one that these runs do not distinguish from it.
     rivals: Vec<[&'static str; 2]>,
-    /// How things stood before each change, the latest last.
-    past: Vec<Past>,
+    /// The state before each change, the latest last.
+    past: Vec<SavedState>,
 }
 
 #[derive(Clone, Debug)]
-struct Past {
+struct SavedState {
     changed: &'static str,
     model: Model,
     fitted: Option<Fitted>,
@@ -123,14 +123,14 @@ impl Discovery {
         self
     }
 
-    /// The first answer is this one, of the same model, evidence and limits, with the run that it recommends.
+    /// The first diagnosis is this one, of the same model, evidence and limits, with its recommended run.
     #[must_use]
     pub fn with_answer(mut self, diagnosis: Diagnosis) -> Self {
         self.known = Some(Box::new(diagnosis));
         self
     }
 
-    /// The same question with one run more, which is fitted behind those before.
+    /// The same with one more run, which is fitted together with the others.
     #[must_use]
     pub fn with_run(&self, run: Scenario) -> Self {
         let evidence = self.evidence.clone().with_run(run);
@@ -156,7 +156,7 @@ impl Discovery {
         &self.model
     }
 
-    /// The model as it stands, fitted with the effects that were added; none before the first diagnosis.
+    /// The present model, fitted with the effects that were added; none before the first diagnosis.
     pub const fn fitted(&self) -> Option<&Fitted> {
         self.fitted.as_ref()
     }
@@ -166,7 +166,7 @@ impl Discovery {
         &self.ladder
     }
 
-    /// Carries out `order`. After an effect was added or removed, what is missing then is searched at once.
+    /// Carries out `order`. After an effect was added or removed, the next search begins at once.
     pub fn carry_out(&mut self, order: Order, publish: Publish<'_>) {
         let done = match order {
             Order::Compare(error_of) => self.compare(error_of, publish),
@@ -175,7 +175,7 @@ impl Discovery {
             Order::Force(id) => self.change(id, Change::Force, publish),
             Order::Remove(id) => self.change(id, Change::Remove, publish),
             Order::Undo => self.undo(publish),
-            Order::AddCurve(place) => self.add_curve(place, publish),
+            Order::AddCurve(index) => self.add_curve(index, publish),
             Order::Respond => {
                 publish(News::Responded(self.response().map(Box::new)));
                 Ok(())
@@ -220,7 +220,7 @@ impl Discovery {
                 holdout_rmse: diagnosis.holdout_before,
             });
         }
-        // Of a model that was changed by hand the sizes stay that were published with the change.
+        // A model that was changed by hand keeps the sizes that were published with the change.
         let ids = diagnosis.baseline.model.effect_ids();
         if self.fitted.as_ref().is_none_or(|fitted| fitted.model.effect_ids() != ids) {
             self.fitted = Some(diagnosis.baseline.clone());
@@ -241,7 +241,7 @@ impl Discovery {
         Ok(())
     }
 
-    /// The model as it is; where values are missing it is fitted first.
+    /// Compares the given model; where values are missing it is fitted first.
     fn compare(&mut self, error_of: ErrorOf, publish: Publish<'_>) -> Result<(), FitError> {
         let (mut evidence, mut model) = (self.evidence.clone(), self.model.clone());
         if model.require_complete().is_err() {
@@ -263,7 +263,7 @@ impl Discovery {
         Ok(())
     }
 
-    /// Publishes the traces of a model once. They are a help: an answer stands without them.
+    /// Publishes the traces of a model once; the diagnosis does not depend on them.
     fn trace(&mut self, model: &Model, evidence: &Evidence, publish: Publish<'_>) {
         let is_fitted = std::mem::take(&mut self.is_traced);
         let (evidence, _) = evidence.fitted_with(&model.effect_ids());
@@ -272,8 +272,8 @@ impl Discovery {
         }
     }
 
-    /// The error alone, then the effects in the model, the named ones and the candidates that have a size; a help, as the
-    /// traces are.
+    /// The error alone, then the effects in the model, the named ones and the candidates that have a size; left out where they
+    /// fail.
     fn curves_of(&self, diagnosis: &Diagnosis) -> Vec<EffectCurve> {
         let present = diagnosis.baseline.model.effect_ids().into_iter();
         let named = diagnosis.effects.iter().copied();
@@ -289,12 +289,12 @@ impl Discovery {
         // Each curve is a simulation of the run.
         let room = (1_000_000 / samples).clamp(1, 8);
         let ids = ids.into_iter().take(room).map(Some);
-        // Of what happens once, the run behind which nothing was put.
+        // For events, the first run without the later ones.
         let effects = diagnosis.model.model.effect_ids();
         let (evidence, _) = self.evidence.fitted_with(&effects);
         let mut curves = Vec::new();
         for id in std::iter::once(None).chain(ids) {
-            // What happened once, happened in the fit run.
+            // An event is in the fit run.
             let effect = id.and_then(effect::find);
             let happens_once = effect.is_some_and(|effect| {
                 effect.parameters().iter().any(|spec| spec.role == ParameterRole::EventTime)
@@ -305,7 +305,7 @@ impl Discovery {
         curves
     }
 
-    /// Of the whole run, that of which the last part is held out as well.
+    /// Of the whole run, also where its last part is held out.
     fn response(&self) -> Result<Compared, String> {
         let evidence = &self.evidence;
         let run = if evidence.holdout_from == HoldoutFrom::Split {
@@ -316,16 +316,14 @@ impl Discovery {
         let runs = [run.clone()];
         let model = self.fitted.as_ref().map_or(&self.model, |own| &own.model);
         let is_complete = model.require_complete().is_ok() && run.input == Input::Voltage;
-        let beside = is_complete.then(|| of_model(model, &runs)).transpose();
-        let beside = beside.map_err(|error| format!("{error}; {}", error.help()))?;
-        compared(&runs, beside.as_deref()).map_err(|error| format!("{error}; {}", error.help()))
+        let predicted = is_complete.then(|| of_model(model, &runs)).transpose();
+        let predicted = predicted.map_err(|error| format!("{error}; {}", error.help()))?;
+        compared(&runs, predicted.as_deref()).map_err(|error| format!("{error}; {}", error.help()))
     }
 
     fn undo(&mut self, publish: Publish<'_>) -> Result<(), FitError> {
         let Some(past) = self.past.pop() else {
-            publish(News::Failed(
-                "nothing was changed by hand that could be taken back".to_owned(),
-            ));
+            publish(News::Failed("there is no change by hand to undo".to_owned()));
             return Ok(());
         };
         (self.model, self.fitted) = (past.model, past.fitted);
@@ -360,20 +358,17 @@ impl Discovery {
         self.changed(result, change != Change::Remove, publish)
     }
 
-    /// The curve keeps the error low while its cause is looked for.
-    fn add_curve(&mut self, place: usize, publish: Publish<'_>) -> Result<(), FitError> {
-        let map = self.curves.get(place);
+    /// Adds an axis map as a table effect.
+    fn add_curve(&mut self, index: usize, publish: Publish<'_>) -> Result<(), FitError> {
+        let map = self.curves.get(index);
         let Some((map, axis)) = map.and_then(|map| Some((map, Axis::from_key(map.axis)?))) else {
-            publish(News::Failed(
-                "the error follows no axis that a table could run over".to_owned(),
-            ));
+            publish(News::Failed("the error depends on no axis of a table".to_owned()));
             return Ok(());
         };
         let axis_name = axis.key().split('_').next().unwrap_or_default();
         let id = format!("table_{}_{axis_name}", map.equation);
         if self.model.has(&id) {
-            let reason =
-                format!("{id} is in the model already: without it the curve is found anew");
+            let reason = format!("{id} is in the model already: remove it to fit the curve anew");
             publish(News::Failed(reason));
             return Ok(());
         }
@@ -387,14 +382,14 @@ impl Discovery {
         };
         let mut model = self.model.clone();
         if let Some(fitted) = &self.fitted {
-            hold_what_the_curve_holds(&mut model, &fitted.model, &id, map.equation, axis);
+            hold_collinear_parameter(&mut model, &fitted.model, &id, map.equation, axis);
         }
         self.changed(diagnosis::add(effect, &model, self.evidence.clone())?, true, publish)
     }
 
-    /// Keeps the state before a change, and what the changed effect is not distinguished from.
+    /// Keeps the state before a change, and the effects from which the changed one is not distinguished.
     fn remember(&mut self, id: &'static str, adds: bool) {
-        self.past.push(Past {
+        self.past.push(SavedState {
             changed: id,
             model: self.model.clone(),
             fitted: self.fitted.clone(),
@@ -413,7 +408,7 @@ impl Discovery {
         }
     }
 
-    /// Takes over what was accepted, and searches on.
+    /// Takes over an accepted change, and searches again.
     fn changed(
         &mut self,
         result: AddResult,
@@ -431,7 +426,7 @@ impl Discovery {
         let model = result.fit.model.clone();
         publish(if adds { News::Added(result) } else { News::Removed(result) });
         if accepted {
-            // The change shows at once; what is missing then takes longer.
+            // The change is shown before the next search, which takes longer.
             self.is_traced = false;
             self.trace(&model, &self.evidence.clone(), publish);
             self.is_traced = true;
@@ -473,10 +468,10 @@ pub fn four_digits(knot: f64) -> f64 {
     format!("{knot:.3e}").parse().unwrap_or(knot)
 }
 
-/// A curve over the current holds a resistance, one over the speed a back-EMF: beside the curve neither can be identified, so that
-/// the parameter is fixed at what the baseline's fit gave it, for as long as the curve `id` is in the model. Returns its
-/// key where that was done.
-pub fn hold_what_the_curve_holds(
+/// A curve over the current contains a resistance, one over the speed a back-EMF: the parameter is collinear with the curve
+/// and cannot be identified, so that it is fixed at the value of the baseline's fit as long as the curve `id` is in the
+/// model. Returns its key where that was done.
+pub fn hold_collinear_parameter(
     model: &mut Model,
     fitted: &Model,
     id: &str,
@@ -539,7 +534,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_without_a_name_is_held_by_its_curve() {
+    fn an_unexplained_error_is_described_by_its_curve() {
         let mut truth = Model::baseline(Motor::zk_22fc());
         let settings =
             "equation = \"torque\"\nexpression = \"a*exp(-((w-118)/15)^2)\"\nparameters = [\"a\"]";
@@ -563,7 +558,7 @@ mod tests {
         let news = news_of(&mut discovery, Order::Diagnose);
         let diagnosis = answer(&news);
         assert_eq!(diagnosis.verdict, DiagnosisVerdict::Unexplained);
-        // Nothing is in an answer that names nothing.
+        // No effect is supported where none is named.
         let mut statuses = diagnosis.candidates.iter().map(|found| found.status);
         assert!(statuses.all(|status| status != diagnosis::Status::Supported));
         assert_eq!(diagnosis.axis_map[0].axis, "speed_rad_s");
@@ -604,7 +599,7 @@ mod tests {
         assert!(is_refused(&needed), "{needed:?}");
         assert_eq!(discovery.fitted().unwrap().model.effect_ids(), ["quadratic_load"]);
 
-        // What was taken back is missing again, and nothing has to be searched for that.
+        // After the undo the former diagnosis is used, without a search.
         let news = news_of(&mut discovery, Order::Undo);
         let undone = |item: &News| matches!(item, News::Undone { effect, present } if *effect == "quadratic_load" && present.is_empty());
         assert!(undone(&news[0]), "{:?}", news[0]);
@@ -617,7 +612,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_refused_can_be_forced_and_is_called_so() {
+    fn a_refused_effect_can_be_forced_and_is_marked() {
         let (model, evidence) = of_a_fan();
         let mut discovery = Discovery::new(model, evidence);
         news_of(&mut discovery, Order::Diagnose);
@@ -646,14 +641,18 @@ mod tests {
         let sentence = crate::report::wording::diagnosis::diagnosis(&diagnosis);
         assert!(!sentence.contains("nothing is missing"), "{sentence}");
         assert!(
-            sentence.ends_with("cannot tell quadratic_load from viscous_friction"),
+            sentence.ends_with("does not distinguish quadratic_load from viscous_friction"),
             "{sentence}"
         );
-        assert_eq!(diagnosis.candidates[0].status, Status::RuledOut, "words change no status");
+        assert_eq!(
+            diagnosis.candidates[0].status,
+            Status::RuledOut,
+            "the wording changes no status"
+        );
     }
 
     #[test]
-    fn an_answer_that_there_is_already_is_not_searched_again() {
+    fn a_known_diagnosis_is_not_computed_again() {
         let (model, evidence) = of_a_fan();
         let found = diagnosis::diagnose(&model, evidence.clone()).unwrap();
         let next = NextExperiment {
@@ -687,7 +686,7 @@ mod tests {
         assert_eq!((traces.runs.len(), before.len()), (2, 1));
         let drawn: Vec<_> = curves.iter().map(|curve| curve.effect).collect();
         assert_eq!(drawn, [None, Some("quadratic_load")]);
-        // The error alone is that of the model as it stands, which lacks the fan.
+        // The error alone is that of the present model, which lacks the fan.
         assert_eq!((curves[0].equation, curves[0].axis), ("torque", "speed_rad_s"));
         assert_eq!(next.finding, Recommendation::ShowsNothingMore);
         // Of a changed model there is none yet.
@@ -704,7 +703,7 @@ mod tests {
             ("table_i", "voltage", Axis::Current, None),
             ("table_w", "torque", Axis::Speed, None),
         ] {
-            let found = hold_what_the_curve_holds(&mut model, &fitted, id, equation, axis);
+            let found = hold_collinear_parameter(&mut model, &fitted, id, equation, axis);
             assert_eq!(found, held, "{id}");
             assert_eq!(model.fixed, ["resistance_ohm"], "{id}");
         }

@@ -1,5 +1,4 @@
-//! The guide through the commissioning loop: what each step needs, what it makes possible, and the command that does the
-//! same by itself.
+//! The steps of a commissioning: what each needs, what it makes possible, and the command that does the same alone.
 
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{BenchFile, Port};
@@ -29,7 +28,7 @@ impl Role {
     }
 }
 
-/// A step of the loop, in the order of the loop.
+/// A step of the commissioning, in their order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step {
     Connect,
@@ -51,7 +50,7 @@ pub enum Step {
 }
 
 impl Step {
-    /// The steps of a loop around a motor that is known, or has to be found first.
+    /// The steps for a motor that is known, or that has to be found first.
     pub fn all(find: bool) -> Vec<Self> {
         let mut steps = vec![Self::Connect, Self::Safety];
         steps.extend(find.then_some(Self::Find));
@@ -110,7 +109,7 @@ impl Step {
             Self::Ladder => "a named effect",
             Self::Tune => "a model with inertia and back-EMF",
             Self::Report => "the runs and what was found",
-            Self::Experiment => "effects not told apart or not shown so far; the motor turns",
+            Self::Experiment => "effects not distinguished or not shown so far; the motor turns",
             Self::SpeedLoop => "tuned gains and a [speed] in the bench file; the motor turns",
         }
     }
@@ -120,39 +119,39 @@ impl Step {
             Self::Connect => "the safety checks",
             Self::Safety => "everything that energises the motor",
             Self::Find => "a plan without a nameplate",
-            Self::Plan => "the runs: what they will do to the motor is known",
+            Self::Plan => "the runs, whose load on the motor is known",
             Self::Record(Role::Fit) => "identification",
-            Self::Record(Role::Select) => "a choice between models on data that no fit has seen",
-            Self::Record(Role::Confirm) => "an error that neither fit nor choice has seen",
-            Self::Record(Role::Repeat) => "what the machine itself does not repeat",
+            Self::Record(Role::Select) => "a choice between models on data not used in the fit",
+            Self::Record(Role::Confirm) => "an error on data used for neither fit nor choice",
+            Self::Record(Role::Repeat) => "how far the machine repeats its motion",
             Self::Identify => "the comparison",
             Self::Compare => "where, and by how much, the model fails",
             Self::Diagnose => "the effect to add, with its cause and remedy",
             Self::Ladder => "a model at its floor, or how far it stays above it",
             Self::Tune => "the speed loop",
             Self::Report => "one file for a colleague",
-            Self::Experiment => "a diagnosis that tells or shows them",
-            Self::SpeedLoop => "a loop that adapts to what changes",
+            Self::Experiment => "a diagnosis that distinguishes or shows them",
+            Self::SpeedLoop => "a loop that adapts to changes",
         }
     }
 
     /// The command that does the same by itself; none for what is a part of every run.
-    pub fn command(self, called: &Called) -> Option<String> {
-        let live = |command: &str| format!("drivebench {command}{}", called.words);
+    pub fn command(self, context: &CommandContext) -> Option<String> {
+        let live = |command: &str| format!("drivebench {command}{}", context.words);
         let [fit, select, confirm] =
-            [Role::Fit, Role::Select, Role::Confirm].map(|role| called.run(role));
+            [Role::Fit, Role::Select, Role::Confirm].map(|role| context.run(role));
         let of_fit = |file: RunFile| quoted_word(&format!("{fit}/{}", file.name()));
         let [fit, select, confirm] = [&fit, &select, &confirm].map(|run| quoted_word(run));
         // The folder's own model has the effect already.
         let judged = format!("--model baseline --holdout {select} --confirm {confirm}");
         Some(match self {
             Self::Safety | Self::Report => return None,
-            Self::Connect => format!("drivebench probe {}", called.line.as_deref()?),
+            Self::Connect => format!("drivebench probe {}", context.line.as_deref()?),
             Self::Find => live("run") + " --escalate",
-            Self::Plan if called.bench.is_empty() => "drivebench plan".to_owned(),
-            Self::Plan => format!("drivebench plan {}", quoted_word(&called.bench)),
+            Self::Plan if context.bench.is_empty() => "drivebench plan".to_owned(),
+            Self::Plan => format!("drivebench plan {}", quoted_word(&context.bench)),
             Self::Record(role) => {
-                let seed = called.seed(role);
+                let seed = context.seed(role);
                 live("run") + &format!(" --run-seed {seed}")
             }
             Self::Identify => format!("drivebench identify {fit}"),
@@ -161,11 +160,11 @@ impl Step {
             }
             Self::Diagnose => format!("drivebench diagnose {fit} {judged}"),
             Self::Ladder => {
-                let effect = called.effect.unwrap_or("EFFECT");
+                let effect = context.effect.unwrap_or("EFFECT");
                 format!("drivebench add {effect} --run {fit} {judged}")
             }
             Self::Tune => {
-                let rate_hz = shortest(called.rate_hz, 6);
+                let rate_hz = shortest(context.rate_hz, 6);
                 format!("drivebench tune --model {} --rate-hz {rate_hz}", of_fit(RunFile::Model))
             }
             Self::Experiment => format!("drivebench run {}", of_fit(RunFile::NextBench)),
@@ -174,9 +173,9 @@ impl Step {
     }
 }
 
-/// What the commands of single steps are about: how this loop was called, and what it has come to so far.
+/// Data for the commands of single steps: the arguments of the commissioning, its runs and effect so far.
 #[derive(Clone, Debug, Default)]
-pub struct Called {
+pub struct CommandContext {
     /// The bench file; empty for the embedded one.
     bench: String,
     /// Bench, link and motor as they were named, each with a space before it.
@@ -191,8 +190,8 @@ pub struct Called {
     pub(super) effect: Option<&'static str>,
 }
 
-impl Called {
-    /// `file` is the bench file, `None` for the embedded one; `words` are what a live command was given, each with a space
+impl CommandContext {
+    /// `file` is the bench file, `None` for the embedded one; `words` are the arguments of the live command, each with a space
     /// before it.
     pub fn new(bench: &BenchFile, file: Option<&str>, words: String) -> Self {
         let line = match bench.port() {
@@ -225,13 +224,17 @@ impl Called {
 mod tests {
     use super::*;
 
-    fn called() -> Called {
+    fn context() -> CommandContext {
         let bench = BenchFile::embedded_default();
-        Called::new(&bench, Some("bench.toml"), " bench.toml --port /dev/ttyUSB0".to_owned())
+        CommandContext::new(
+            &bench,
+            Some("bench.toml"),
+            " bench.toml --port /dev/ttyUSB0".to_owned(),
+        )
     }
 
     #[test]
-    fn each_step_says_what_it_needs_and_what_it_makes_possible() {
+    fn each_step_has_its_needs_and_results() {
         for step in Step::all(true) {
             for words in [step.title(), step.needs(), step.unlocks()] {
                 assert!(!words.is_empty() && words.len() < 70, "{step:?}: {words}");
@@ -241,29 +244,29 @@ mod tests {
     }
 
     #[test]
-    fn commands_name_what_is_known_and_a_word_for_what_is_not() {
-        let mut called = called();
-        let command = |called: &Called, step: Step| step.command(called).unwrap();
+    fn commands_have_placeholders_for_what_is_not_known() {
+        let mut context = context();
+        let command = |context: &CommandContext, step: Step| step.command(context).unwrap();
         assert_eq!(
-            command(&called, Step::Record(Role::Select)),
+            command(&context, Step::Record(Role::Select)),
             "drivebench run bench.toml --port /dev/ttyUSB0 --run-seed 2"
         );
         assert_eq!(
-            command(&called, Step::Ladder),
+            command(&context, Step::Ladder),
             "drivebench add EFFECT --run FIT --model baseline --holdout SELECT --confirm CONFIRM"
         );
-        called.runs = ["a", "b", "c"].map(str::to_owned).to_vec();
-        called.effect = Some("voltage_drop");
+        context.runs = ["a", "b", "c"].map(str::to_owned).to_vec();
+        context.effect = Some("voltage_drop");
         assert_eq!(
-            command(&called, Step::Ladder),
+            command(&context, Step::Ladder),
             "drivebench add voltage_drop --run a --model baseline --holdout b --confirm c"
         );
         assert_eq!(
-            command(&called, Step::SpeedLoop),
+            command(&context, Step::SpeedLoop),
             "drivebench speed bench.toml --port /dev/ttyUSB0 --model a/model.toml"
         );
-        assert_eq!(Step::Safety.command(&called), None);
-        let embedded = Called::new(&BenchFile::embedded_default(), None, String::new());
+        assert_eq!(Step::Safety.command(&context), None);
+        let embedded = CommandContext::new(&BenchFile::embedded_default(), None, String::new());
         assert_eq!(command(&embedded, Step::Plan), "drivebench plan");
     }
 }

@@ -1,16 +1,16 @@
-//! The order of the loop, as a pure state machine that screens and headless runs drive alike.
+//! The commissioning as a pure state machine, which screens and headless runs drive alike.
 //!
 //! ```text
 //! connect -> check -> [escalate: an unknown motor from small steps] -> plan -> record fit, select, confirm, repeat -> identify -> compare -> diagnose -> add -> tune -> report
 //!    \________ Task out: what is to be done next _____________/
-//!     '------- Done in: what came of it; a failed task ends the loop with its reason
+//!     '------- Done in: its result; a failed task ends the commissioning with its reason
 //! ```
 //!
 //! guide.rs: what each step needs and unlocks, and which command does the same.
-//! discovery.rs is the analysis as a conversation: add an effect, see what is missing then.
-//! `provisional_ranking.rs` ranks the effects by the residual of a run that still goes on.
-//! suite/ reads a suite of bench tests and judges what came of its cases.
-//! truth.rs sets what a software drive hides beside the answer, after the analysis.
+//! discovery.rs: the diagnosis by hand.
+//! `provisional_ranking.rs` ranks the effects by the residual of a run in progress.
+//! suite/ reads a suite of bench tests and judges the results of its cases.
+//! truth.rs compares the hidden effects of a software drive with the diagnosis.
 //!
 //! The driver (`commands`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
@@ -32,9 +32,9 @@ pub use commission::{
     StepState, StepView, Task, compared, scaled_sentence,
 };
 pub use discovery::{
-    Discovery, News, Order, Publish, curve_table, four_digits, hold_what_the_curve_holds,
+    Discovery, News, Order, Publish, curve_table, four_digits, hold_collinear_parameter,
 };
-pub use guide::{Called, Role, Step};
+pub use guide::{CommandContext, Role, Step};
 pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use provisional_ranking::{ProvisionalRanking, RankingWatch};
 pub use truth::{ORDER, Size, Truth, sizes};

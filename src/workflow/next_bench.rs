@@ -7,13 +7,11 @@ use drivebench_model::text::lines::wrapped;
 
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";
-/// Placeholder of a port: nothing of that name can be opened, and nothing else is put in its place.
-const UNKNOWN_PORT: &str = "port-of-your-drive";
 
-/// What a run on this bench may reach.
+/// Limits of a run on this bench.
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
-    // What the drive of such a motor gives, whatever the bench would let pass.
+    // A drive for this motor gives at most twice its rated current.
     let most_a = 2.0 * bench.motor.rated_current_a;
     ExperimentLimits {
         voltage_v: limits.voltage_v,
@@ -22,15 +20,13 @@ pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
         rms_current_a: bench.motor.rated_current_a,
         travel_rad: limits.travel_rad,
         duration_s: limits.time_s,
-        // A slew that the bench leaves open is there for the current, which is planned.
+        // Without a slew limit of the bench the plan of the current limits the slew.
         slew_v_per_s: bench.limits.slew_v_per_s.unwrap_or(f64::INFINITY),
         period_s: bench.link.rate_hz.recip(),
     }
 }
 
 /// The bench with the recipe as its sequence, as the text of a file whose head has its purpose. The slew limit is the
-/// recipe's own, planned within that of the bench where it has one. What the bench does not know of the motor is taken
-/// from `model`.
 pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
     let mut next = bench.clone();
     let own = bench.name.split(NEXT).next().unwrap_or(&bench.name);
@@ -50,22 +46,23 @@ pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &
             *cell = model.motor.get(key);
         }
     }
-    // It has been found by now.
+    // The motor is known now.
     motor.unknown = false;
     format!("{}\n{}", comment(sentence), next.to_toml())
 }
 
-/// A bench for runs of which nothing is known but what is in them: the embedded one with the motor that was found and the
-/// limits that the runs have set. Its port has to be given.
+/// A bench for runs without a bench file: the embedded one with the identified motor and the ranges of the runs as limits.
+/// Its port has to be given.
 pub fn bench_for(model: &Model, limits: &ExperimentLimits, rate_hz: f64) -> BenchFile {
     let mut bench = BenchFile::embedded_default();
     let or = |value: f64, other: f64| if value.is_finite() { value } else { other };
     "next".clone_into(&mut bench.name);
     // Its reference is for another motor.
     bench.speed = None;
-    UNKNOWN_PORT.clone_into(&mut bench.link.port);
+    // A placeholder that cannot be opened.
+    "port-of-your-drive".clone_into(&mut bench.link.port);
     bench.link.rate_hz = rate_hz.clamp(1.0, 2000.0);
-    // More exchanges per second than a serial line of Modbus carries came over the stream.
+    // A rate above that of serial Modbus was recorded over the stream protocol.
     if rate_hz > 120.0 {
         bench.link.protocol = Protocol::Stream;
     }

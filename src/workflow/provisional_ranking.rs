@@ -1,4 +1,4 @@
-//! Provisional ranking of the effects while a run goes on: marginal screening of the residual to first order (Fan and Lv 2008),
+//! Provisional ranking of the effects during a run: marginal screening of the residual to first order (Fan and Lv 2008),
 //! every half second, on a thread of its own, from the snapshots that are published for the screen.
 //!
 //! ```text
@@ -88,8 +88,8 @@ impl RankingWatch {
         let inertia = ParameterEstimate::find(&snapshot.estimates, MotorKey::Inertia.key());
         let reason = inertia.and_then(|inertia| inertia.reason.as_deref());
         if reason.is_some_and(|reason| reason.starts_with(INERTIA_HAS_CHANGED)) {
-            // What came before was another machine, to which the values that are found now do not belong.
-            self.forget();
+            // Earlier samples are of another inertia: the present values do not fit them.
+            self.clear();
         }
         for key in MotorKey::ALL {
             let found = ParameterEstimate::find(&snapshot.estimates, key.key());
@@ -99,7 +99,7 @@ impl RankingWatch {
         }
     }
 
-    fn forget(&mut self) {
+    fn clear(&mut self) {
         self.events.clear();
         self.columns().into_iter().for_each(Vec::clear);
     }
@@ -144,7 +144,7 @@ impl RankingWatch {
         }
         let mut motor = self.motor.clone();
         if motor.get(MotorKey::LoadTorque).is_none() {
-            // Not estimated yet: what it would explain is taken out of the balance all the same.
+            // Not estimated yet: the screening removes the constant torque from the balance.
             motor.set(MotorKey::LoadTorque, 0.0);
         }
         let model = Model::baseline(motor);
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn what_came_before_another_inertia_is_not_ranked() {
+    fn samples_before_a_change_of_inertia_are_not_ranked() {
         let run = with_a_fan(0);
         let mut watch = RankingWatch::default();
         watch.take(&snapshot(&run, 600, 600));

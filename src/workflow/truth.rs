@@ -1,4 +1,4 @@
-//! What a software drive hides, beside the values that were found.
+//! The hidden effects of a software drive, compared with the diagnosis.
 
 use std::fmt::Write as _;
 
@@ -8,10 +8,10 @@ use drivebench_diagnose::{Diagnosis, DiagnosisVerdict};
 use drivebench_emulator::mystery::TrueEffect;
 use drivebench_model::text::number::{fixed, shortest, with_unit};
 
-/// Key of the number of waves in a turn.
+/// Key of the order of a harmonic: periods in a turn.
 pub const ORDER: &str = "order";
 
-/// What an emulator carried, for scoring the answer; a real drive has none.
+/// The hidden effects of an emulator, for scoring the diagnosis; a real drive has none.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Truth {
     pub effects: Vec<String>,
@@ -27,12 +27,12 @@ pub struct Size {
     #[serde(rename = "true")]
     pub truth: f64,
     pub found: Option<f64>,
-    /// Of the true value; of the whole wave for its sine and cosine part.
+    /// Of the true value; for the sine and cosine part of a harmonic, of its amplitude.
     pub error_percent: Option<f64>,
 }
 
 impl Truth {
-    /// The effects that the drive carries against those that the diagnosis names, with the values of its model.
+    /// Compares the hidden effects with those that the diagnosis names, and with the values of its model.
     pub fn of(hidden: &[TrueEffect], diagnosis: &Diagnosis) -> Self {
         let model = &diagnosis.model.parameters;
         let found = |id: &str, key: &str| {
@@ -57,14 +57,14 @@ impl Truth {
         }
     }
 
-    /// What the drive carries, whether the answer is right, and each true value beside the one that was found.
+    /// The hidden effects, whether the diagnosis is right, and each true value with the one that was found.
     pub fn sentence(&self) -> String {
-        let carried = match self.effects.as_slice() {
+        let hidden = match self.effects.as_slice() {
             [] => "no hidden effect".to_owned(),
             effects => effects.join(", "),
         };
         let verdict = if self.named_correctly { "right" } else { "wrong" };
-        let mut sentence = format!("the emulator carries {carried}: the answer is {verdict}");
+        let mut sentence = format!("the emulator has {hidden}: the diagnosis is {verdict}");
         for size in &self.sizes {
             let effect =
                 if self.effects.len() > 1 { format!("{}.", size.effect) } else { String::new() };
@@ -77,7 +77,7 @@ impl Truth {
 impl Size {
     fn is_of_another_order(&self) -> bool {
         let error = self.found.map(|found| (found - self.truth).abs());
-        // Orders are whole numbers: an effect with another number of waves is another effect under the same name.
+        // Orders are whole numbers: a harmonic of another order is another effect under the same name.
         self.key == ORDER && error.is_some_and(|error| error >= 0.5)
     }
 
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_is_of_the_true_value_and_of_the_whole_wave() {
+    fn an_error_is_of_the_true_value_or_of_the_amplitude() {
         let cogging = hidden("cogging");
         let value = |key: &str| {
             cogging.parameters.iter().find(|one: &&TrueValue| one.key == key).unwrap().value

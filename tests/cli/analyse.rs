@@ -151,7 +151,7 @@ fn only_what_is_still_true_is_kept() {
     for (name, out) in [("s.csv", "s.csv"), ("t.csv.part", "t.csv")] {
         let (file, out) = (desk.put(name, &samples), desk.path(out));
         let error = refusal("analyse {} --out {} --resume", &[&spring, &out]);
-        has(&error, &[name, "its columns are others"]);
+        has(&error, &[name, "its columns differ"]);
         assert_eq!(fs::read_to_string(&file).unwrap(), samples, "{name}");
     }
     assert!(!desk.path("s.csv.part").exists() && !desk.path("t.csv").exists());
@@ -166,7 +166,7 @@ fn what_is_no_run_is_said_before_anything_is_written() {
         "analyse => RUNS
          analyse {} --resume => --out
          analyse nowhere => no such run
-         analyse nowhere/* => no run has a path like this
+         analyse nowhere/* => no run matches this pattern
          analyse {} --out {} => .csv or .parquet
          analyse {} --shard 3/2 => 1 <= I <= N
          analyse {} --scheme 7 => output-error",

@@ -42,7 +42,7 @@ fn every_result_fits_a_terminal_and_ends_with_the_next_step() {
             "after ± std",
             "boundary lubrication",
             "remedy",
-            "the answer is right",
+            "the diagnosis is right",
             "drivebench speed --port sim: --seed 7 --headless",
         ],
     );
@@ -216,7 +216,7 @@ fn a_mistake_is_answered_with_what_to_do() {
     let mut process = std::process::Command::new(BINARY);
     process.args(["completions", "bash"]).stdout(full);
     let done = Done::of(&process.output().expect("it runs"));
-    let said = done.fails(6, &["cannot write the result", "make room"]).stderr;
+    let said = done.fails(6, &["cannot write the result", "free space"]).stderr;
     lacks(&said, &["fault of drivebench"]);
 }
 
@@ -242,9 +242,9 @@ fn compare_names_its_model_and_agrees_with_diagnose() {
     let [here, there] = [number(&compared, "/holdout_rmse"), number(&diagnosed, "/holdout_before")];
     assert!((here / there - 1.0).abs() < 0.01, "{here} and {there}");
     let text = desk.call(&format!("compare {run}")).expect(0).stdout;
-    has(&text, &["model.toml, refitted to this run as diagnose does"]);
+    has(&text, &["model.toml, refitted to this run, as in diagnose"]);
     let given = desk.call(&format!("compare {run} --model {run}/model.toml")).expect(0).stdout;
-    has(&given, &["model.toml, as it is"]);
+    has(&given, &["model.toml, not refitted"]);
 }
 
 #[test]

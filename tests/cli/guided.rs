@@ -33,7 +33,7 @@ fn the_whole_loop_is_driven_by_keys() {
     // The runs are too short to tell rivals apart, and the page says what would.
     session.wait_for("x next experiment");
     to_the_steps(&mut session);
-    session.wait_for("needs    effects not told apart or not shown so far");
+    session.wait_for("needs    effects not distinguished or not shown so far");
     session.press("x");
     until_the_run_is_done(&mut session);
     session.press("q");

@@ -146,13 +146,13 @@ fn a_page_does_not_call_unseen_what_is_objected_to() {
     let desk = Desk::new();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
     let page = page_of(&desk, "compare", &run, &run);
-    lacks(&page, &["has not seen"]);
+    lacks(&page, &["not used in the fit"]);
     has(&page, &["its samples are those of the run"]);
     let desk = Desk::new();
     let again = record(again(23), 0.9);
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
     let page = page_of(&desk, "compare", &run, &holdout);
-    has(&page, &["held out again.csv", "has not seen"]);
+    has(&page, &["held out again.csv", "not used in the fit"]);
     lacks(&page, &["About the data"]);
 }
 

@@ -96,7 +96,7 @@ fn another_dialect_of_csv_gives_the_same_motor() {
         &[
             "';' separates the cells, numbers have a decimal comma, a sep= line names the separator",
             "2 rows whose time is not after that of the row before were left out: 2 repeat it",
-            "voltage_cmd_v serves as the voltage",
+            "voltage_cmd_v is used as the voltage",
         ],
     );
     let found = done.json();
@@ -256,12 +256,12 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
     has(&row("torque "), &[&times]);
     // What is not known has no multiple.
     has(&row("speed (0.75 s windows) "), &[" - ", "not known"]);
-    has(&shown, &["torque error goes with its own past ("]);
+    has(&shown, &["torque error is correlated with its own past ("]);
     assert!(found["residual"]["torque_n_m"]["rho_ee"].is_object());
     assert!(found["residual"].get("speed_rad_s").is_none());
     let page = fs::read_to_string(page).unwrap();
     has(&page, &["speed (0.75 s windows)"]);
-    let lights = &page[page.find("Residual lights").unwrap()..];
+    let lights = &page[page.find("Residual tests").unwrap()..];
     let lights = &lights[..lights.find("</table>").unwrap()];
     assert!(lights.contains("torque") && !lights.contains("speed"), "{lights}");
 }

@@ -29,7 +29,7 @@ fn a_commissioning_of_a_mystery_ends_with_the_truth() {
     let runs = out.path("runs");
     let text = format!("commission --port sim: --headless --mystery {seed} --out {{}}");
     let card = call(&text, &[&runs]).expect(0).stdout;
-    let sentence = "the emulator carries voltage_drop: the answer is right; drop_v: true ";
+    let sentence = "the emulator has voltage_drop: the diagnosis is right; drop_v: true ";
     has(&card, &[sentence]);
     let result = read_json(runs.join("latest/result.json"));
     let size = &result["truth"]["sizes"][0];

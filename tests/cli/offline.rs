@@ -231,7 +231,7 @@ fn pages_are_whole_and_never_overwritten() {
         ),
         (
             "compare {} --holdout {} --model {} --json --html {}",
-            vec!["Above the noise floor", "Residual lights", "class=\"cell\""],
+            vec!["Above the noise floor", "Residual tests", "class=\"cell\""],
         ),
     ] {
         let page = folder.path(format!("{}.html", parts.len()));

@@ -78,7 +78,7 @@ fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
     session.press("x");
     session.wait("help closed", |screen| !screen.contents().contains("A name is"));
     session.press("n");
-    session.wait_for("what these runs do not tell");
+    session.wait_for("open questions");
     session.press("q");
     session.wait_for(ADD);
     session.press("q");
@@ -200,7 +200,7 @@ fn ctrl_z_without_a_shell_is_explained_and_ignored() {
     let mut session = diagnose("", folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.press("\u{1a}");
-    session.wait_for("Ctrl-Z: no shell stands behind this program");
+    session.wait_for("Ctrl-Z: there is no shell");
     session.press("e");
     session.wait_for("error over speed x current");
     session.press("qq");
@@ -221,7 +221,7 @@ fn after_a_trip_nothing_is_diagnosed_and_the_status_stays() {
     session.wait_for("q = quit");
     for key in ["d", "v"] {
         session.press(key);
-        session.wait_for("not yet: the diagnosis begins where a run has gone to its end");
+        session.wait_for("not yet: the diagnosis begins after a completed run");
         session.press("f");
         session.wait_for("FROZEN");
         session.press("f");
@@ -297,7 +297,7 @@ fn u_takes_back_what_a_has_added() {
     session.press("b");
     session.wait_for("BEFORE the last change");
     session.press("u");
-    session.wait_for("taken back: stribeck_friction");
+    session.wait_for("undone: stribeck_friction");
     session.wait_for("EFFECT FOUND: stribeck_friction");
     lacks(&session.text(), &["+ in the model"]);
     keep_what_scrolls(&mut session);
@@ -368,7 +368,7 @@ fn a_recorded_run_is_searched_only_after_d() {
         session.press("q");
         session.wait_for("d diagnose");
         session.press("c");
-        session.wait_for("equation lacks");
+        session.wait_for("equation, ");
         session.press("q");
         session.wait_for("d diagnose");
         session.press("e");

@@ -395,7 +395,7 @@ fn a_run_that_says_nothing_of_a_whole_machine_is_no_golden_one() {
     };
     let out = desk.path("golden.toml");
     for (from, to, words) in [
-        ("\"finished\": true", "\"finished\": false", "the record is not whole"),
+        ("\"finished\": true", "\"finished\": false", "the record is incomplete"),
         (
             "\"outcome\": \"passed\"",
             "\"outcome\": \"safety trip: over-speed\"",

@@ -132,9 +132,9 @@ impl<'a> Said<'a> {
         // What is not told from another, or is not shown, is not said to be there.
         let claims = sentence.split(';').map(str::trim);
         let claims: Vec<&str> = claims
-            .filter(|part| !part.starts_with("this run cannot tell"))
+            .filter(|part| !part.starts_with("this run does not distinguish"))
             .filter(|part| !part.starts_with("not shown: "))
-            .filter(|part| !part.starts_with("not borne out by a refit: "))
+            .filter(|part| !part.starts_with("not confirmed by a refit: "))
             .collect();
         let all = self.answer["candidates"].as_array();
         let all = all.into_iter().flatten().filter_map(|own| {

@@ -115,7 +115,7 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
         session.now();
         (rows() >= before + BLOCKED_ROWS).then_some(())
     });
-    assert_eq!(session.sent.len(), seen, "the terminal takes nothing");
+    assert_eq!(session.sent.len(), seen, "the terminal does not respond");
     tcflow(&terminal, FlowArg::TCOON).unwrap();
     drop(terminal);
     session.wait_for("DONE");

@@ -7,25 +7,25 @@ use std::path::{Component, Path, PathBuf};
 use crate::runtime::failure::Failure;
 use drivebench_bench::recording::{RunFile, RunFolder, resolved};
 
-/// Folders below a folder of runs that are looked into: a suite keeps its runs three below its own.
+/// Depth of the search below a folder of runs; a suite keeps its runs three levels down.
 const DEEPEST: usize = 8;
 
 /// Every run that is named, sorted by its path.
 ///
 /// # Errors
-/// A path that is not there, and a pattern that nothing has.
+/// A path that does not exist, and a pattern without a match.
 pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
-    // By where it is in truth: a run that is named twice, or by a link too, is one run.
+    // By canonical path: a run that is named twice, or also by a link, is one run.
     let mut found: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();
     let mut add = |path: PathBuf| {
-        let place = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-        found.entry(place).or_insert(path);
+        let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
+        found.entry(canonical).or_insert(path);
     };
     for path in named {
         if path.exists() {
             let inside = if path.is_dir() { below(path) } else { Vec::new() };
             if inside.is_empty() {
-                // Also a folder without a run in it: that it has none is its answer.
+                // A folder without a run gets a row too, which gives the reason.
                 add(resolved(path));
             }
             inside.into_iter().for_each(&mut add);
@@ -38,8 +38,8 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
         }
         let matched: Vec<PathBuf> = expanded(path).iter().flat_map(|path| below(path)).collect();
         if matched.is_empty() {
-            let headline = format!("{text}: no run has a path like this");
-            let help = "* and ? stand for letters of one name, ** for any folders between";
+            let headline = format!("{text}: no run matches this pattern");
+            let help = "* and ? match characters of one name, ** any folders between";
             return Err(Failure::usage(headline, help));
         }
         matched.into_iter().for_each(&mut add);
@@ -49,7 +49,7 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(runs)
 }
 
-/// The path itself where it is a run, else the runs in the folders below it. What a link leads to stands elsewhere.
+/// The path itself where it is a run, else the runs in the folders below it. Links to folders are not followed.
 fn below(path: &Path) -> Vec<PathBuf> {
     let mut runs = Vec::new();
     let mut open = vec![(path.to_owned(), 0)];
@@ -77,7 +77,7 @@ fn is_pattern(text: &str) -> bool {
     text.contains(['*', '?'])
 }
 
-/// The paths that a pattern stands for.
+/// The paths that match a pattern.
 fn expanded(pattern: &Path) -> Vec<PathBuf> {
     let mut found = vec![PathBuf::new()];
     for part in pattern.components() {
@@ -89,7 +89,7 @@ fn expanded(pattern: &Path) -> Vec<PathBuf> {
             Component::Normal(_) if is_pattern(&text) => found
                 .iter()
                 .flat_map(|base| names(base).into_iter().map(move |name| (base, name)))
-                .filter(|(_, name)| has_form(name.as_bytes(), text.as_bytes()))
+                .filter(|(_, name)| matches_glob(name.as_bytes(), text.as_bytes()))
                 .map(|(base, name)| base.join(name))
                 .collect(),
             part => found.iter().map(|base| base.join(part)).collect(),
@@ -99,12 +99,9 @@ fn expanded(pattern: &Path) -> Vec<PathBuf> {
     found
 }
 
-fn here(base: &Path) -> &Path {
-    if base.as_os_str().is_empty() { Path::new(".") } else { base }
-}
-
 fn names(base: &Path) -> Vec<String> {
-    let entries = fs::read_dir(here(base)).into_iter().flatten().flatten();
+    let base = if base.as_os_str().is_empty() { Path::new(".") } else { base };
+    let entries = fs::read_dir(base).into_iter().flatten().flatten();
     entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
 }
 
@@ -123,32 +120,33 @@ fn folders_below(base: &Path) -> Vec<PathBuf> {
     found
 }
 
-/// Whether a name has the form of a pattern: `*` for any letters, `?` for one. A name that begins with a dot is hidden.
-fn has_form(name: &[u8], pattern: &[u8]) -> bool {
+/// Whether a name matches a glob pattern: `*` for any characters, `?` for one. A name that begins with a dot is hidden.
+fn matches_glob(name: &[u8], pattern: &[u8]) -> bool {
     if name.first() == Some(&b'.') && pattern.first() != Some(&b'.') {
         return false;
     }
-    // Where the last star stood, and what it has taken so far.
-    let (mut at, mut of, mut star) = (0, 0, None);
+    // Position of the last star, and the end of the characters that it matches.
+    let (mut at, mut in_pattern, mut star) = (0, 0, None);
     while at < name.len() {
-        match pattern.get(of) {
+        match pattern.get(in_pattern) {
             Some(b'*') => {
-                star = Some((of, at));
-                of += 1;
+                star = Some((in_pattern, at));
+                in_pattern += 1;
             }
             Some(letter) if *letter == b'?' || *letter == name[at] => {
                 at += 1;
-                of += 1;
+                in_pattern += 1;
             }
             _ => match star {
-                Some((place, taken)) => {
-                    (at, of, star) = (taken + 1, place + 1, Some((place, taken + 1)));
+                Some((star_at, matched_to)) => {
+                    (at, in_pattern, star) =
+                        (matched_to + 1, star_at + 1, Some((star_at, matched_to + 1)));
                 }
                 None => return false,
             },
         }
     }
-    pattern[of..].iter().all(|letter| *letter == b'*')
+    pattern[in_pattern..].iter().all(|letter| *letter == b'*')
 }
 
 #[cfg(test)]
@@ -156,8 +154,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_pattern_matches_names_of_its_form_alone() {
-        for (name, pattern, is_so) in [
+    fn a_glob_pattern_matches_whole_names() {
+        for (name, pattern, expected) in [
             ("2026-a", "2026-*", true),
             ("2025-a", "2026-*", false),
             ("abcabx", "*abx", true),
@@ -169,12 +167,16 @@ mod tests {
             (".git", ".*", true),
             ("axbxc", "a*b*c", true),
         ] {
-            assert_eq!(has_form(name.as_bytes(), pattern.as_bytes()), is_so, "{name} {pattern}");
+            assert_eq!(
+                matches_glob(name.as_bytes(), pattern.as_bytes()),
+                expected,
+                "{name} {pattern}"
+            );
         }
     }
 
     #[test]
-    fn each_run_is_there_once_and_in_order() {
+    fn each_run_is_listed_once_and_in_order() {
         let root = tempfile::tempdir().unwrap();
         for run in ["b/2", "b/1", "a/deep/3", "c"] {
             fs::create_dir_all(root.path().join(run)).unwrap();

@@ -5,8 +5,8 @@
 //!                                              '- no further ahead than a window -'-> table.rs: journal -> FILE
 //! ```
 //!
-//! Of a run whose row is written its path and the place of its row are in memory, some 700 bytes; no worker runs further
-//! ahead of the last written row than the window. Parquet is made of the whole table at the end.
+//! Memory: some 700 bytes for each written row (path and offset); no worker runs further ahead of the last written row than
+//! the window. Parquet is made of the whole table at the end.
 
 mod inputs;
 mod row;
@@ -41,7 +41,7 @@ use drivebench_model::plant::{Model, Motor};
   drivebench analyse runs --shard 3/8 --out part-3.csv        the third of eight blocks, on one of eight machines
 
 The columns do not depend on the runs; docs/suites.md lists them, with queries in DuckDB and Polars. A run that cannot be
-read is a row with the reason. Killed at any time, --resume goes on where it was.
+read is a row with the reason. After a kill at any time, --resume continues.
 Exit status: 0 every run was read; 1 some could not be; 2 none.")]
 pub(super) struct Arguments {
     /// Run folders, folders of runs, CSV files, or quoted patterns with *, ? and **
@@ -53,24 +53,24 @@ pub(super) struct Arguments {
     /// Keep the rows of FILE that this version found with the same options in runs that have not changed since
     #[arg(long, requires = "out")]
     resume: bool,
-    /// Block I of N of the runs: the tables of all blocks behind each other are that of the whole
+    /// Block I of N of the runs: the tables of all blocks, joined in order, are the table of all runs
     #[arg(long, value_name = "I/N", value_parser = shard)]
     shard: Option<(u64, u64)>,
     /// Runs at once; without it one for each core
     #[arg(long, value_name = "N")]
     jobs: Option<NonZeroUsize>,
-    /// Model file whose parameters are sought in every run; without it the five-parameter baseline
+    /// Model file whose parameters are identified in every run; without it the five-parameter baseline
     #[arg(long, value_name = "MODEL.toml")]
     model: Option<PathBuf>,
     /// Method, one of the schemes that `identify --help` lists
     #[arg(long, value_name = "S")]
     scheme: Option<String>,
-    /// Name the effects that each run needs, too; some forty times as long
+    /// Diagnose each run too: name its missing effects; takes some forty times as long
     #[arg(long)]
     diagnose: bool,
     #[command(flatten)]
     map: MapArguments,
-    /// Print JSON: the sums of --out, else each row as a line of its own
+    /// Print JSON: the counts with --out, else a line for each row
     #[arg(long)]
     json: bool,
 }
@@ -93,7 +93,7 @@ struct Analysed {
     ok: usize,
     not_identified: usize,
     unread: usize,
-    /// Rows of an earlier analysis that still hold, among these.
+    /// Rows of an earlier analysis that are still valid, among these.
     kept: usize,
     /// Rows of runs that were not named, of other options and of other versions, which are not in the table any more.
     left_out: usize,
@@ -120,7 +120,7 @@ impl Analysed {
             self.unread
         );
         for (count, what) in [
-            (self.kept, "rows kept from before"),
+            (self.kept, "rows kept from an earlier analysis"),
             (self.left_out, "rows of other runs, options or versions left out"),
         ] {
             if count > 0 {
@@ -140,14 +140,14 @@ impl Analysed {
     }
 }
 
-/// The checksum of all that a row depends on beside its run and the program's version: options, and the model file's text.
+/// The checksum of all that a row depends on besides its run and the program's version: options, and the model file's text.
 fn checksum_of(arguments: &Arguments) -> String {
     let options = format!("{:?} {:?} {}", arguments.map, arguments.scheme, arguments.diagnose);
     let model = arguments.model.as_ref().and_then(|path| std::fs::read(path).ok());
     format!("{:016x}", fnv_1a(fnv_1a(EMPTY, options.bytes()), model.unwrap_or_default()))
 }
 
-/// Part `part` of `of` of the runs: a block, so that the tables of the parts behind each other are the table of the whole.
+/// Block `part` of `of`: the tables of all blocks, joined in order, are the table of all runs.
 fn block<T>(mut runs: Vec<T>, (part, of): (u64, u64)) -> Vec<T> {
     let count = runs.len() as u128;
     let bound = |part: u64| {
@@ -172,7 +172,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     for run in &runs {
         if !named.insert(row::name(run)) {
             let headline = format!("{}: two runs have this name in the table", row::name(run));
-            let help = "rename one: a line break, and a letter that is none, are shown as another";
+            let help = "rename one: line breaks and invalid characters are replaced in the table";
             return Err(Failure::usage(headline, help));
         }
     }
@@ -193,7 +193,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     }
     let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let jobs = arguments.jobs.map_or_else(cores, NonZeroUsize::get);
-    // Where the pool exists already it stays as it is; rows do not depend on it.
+    // A pool that exists already is kept; rows do not depend on it.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
     terminal.stage("analyses the runs", runs.len());
     let analysis = Analysis {
@@ -207,7 +207,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
             begun: 0,
             written: 0,
             waiting: BTreeMap::new(),
-            ended: None,
+            failure: None,
             sink,
             sum: Analysed::default(),
         }),
@@ -220,7 +220,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     });
     let Analysis { runs, order, .. } = analysis;
     let order = order.into_inner().unwrap_or_else(PoisonError::into_inner);
-    if let Some(failure) = order.ended {
+    if let Some(failure) = order.failure {
         return Err(failure);
     }
     let mut sum = Analysed { runs: runs.len(), ..order.sum };
@@ -231,7 +231,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     Ok(sum)
 }
 
-/// Where rows go.
+/// Output of the rows.
 struct Sink<'a> {
     table: Option<Table>,
     columns: Vec<(String, ColumnKind)>,
@@ -258,7 +258,7 @@ impl Sink<'_> {
 /// A row that waits for those before it.
 enum Ready {
     New(Vec<Cell>, Status),
-    /// It stands in the table already.
+    /// In the table already.
     Kept(Status),
 }
 
@@ -267,13 +267,13 @@ struct Order<'a> {
     begun: usize,
     written: usize,
     waiting: BTreeMap<usize, Ready>,
-    ended: Option<Failure>,
+    failure: Option<Failure>,
     sink: Sink<'a>,
     sum: Analysed,
 }
 
 impl Order<'_> {
-    /// Writes the rows that are next in order, as far as they are there.
+    /// Writes the rows that are next in order, as far as they are ready.
     fn write(&mut self) {
         while let Some(ready) = self.waiting.remove(&self.written) {
             let (status, put) = match ready {
@@ -284,7 +284,7 @@ impl Order<'_> {
                 }
             };
             if let Err(failure) = put {
-                self.ended = self.ended.take().or(Some(failure));
+                self.failure = self.failure.take().or(Some(failure));
                 return;
             }
             self.sum.count(status);
@@ -315,10 +315,10 @@ impl<'a> Analysis<'a> {
     fn work(&self) {
         loop {
             let mut order = self.order();
-            while order.begun >= order.written + self.window && order.ended.is_none() {
+            while order.begun >= order.written + self.window && order.failure.is_none() {
                 order = self.written.wait(order).unwrap_or_else(PoisonError::into_inner);
             }
-            let (index, is_over) = (order.begun, order.ended.is_some());
+            let (index, is_over) = (order.begun, order.failure.is_some());
             let Some(run) = self.runs.get(index).filter(|_| !is_over) else {
                 return;
             };

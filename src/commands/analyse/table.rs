@@ -5,7 +5,7 @@
 //!              '-- killed --> --resume: rows of FILE.part and FILE that are still true are kept
 //! ```
 //!
-//! Only the place of each row is in memory. Rows of another program, other columns or other options are not overwritten.
+//! Only the position of each row is in memory. Rows of another program, other columns or other options are not overwritten.
 
 use std::collections::{HashMap, HashSet};
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -19,9 +19,9 @@ use crate::runtime::files::{parquet, require_parquet};
 use crate::runtime::output::{self, Terminal};
 use drivebench_bench::recording::ColumnKind;
 
-/// Place of a row and checksum of its run.
+/// Position of a row in its file, and checksum of its run.
 #[derive(Clone, Debug)]
-struct Place {
+struct RowLocation {
     /// Number of the file.
     source: usize,
     offset: u64,
@@ -37,16 +37,16 @@ pub(super) struct Table {
     journal: File,
     /// End of the journal.
     end: u64,
-    /// The journal, and the table of an earlier time.
+    /// The journal, and the table of an earlier analysis.
     sources: Vec<File>,
-    rows: HashMap<String, Place>,
+    rows: HashMap<String, RowLocation>,
     /// Rows of other options or versions, of runs that are analysed anew.
     replaced: usize,
     terminal: Terminal,
 }
 
 impl Table {
-    /// Opens the journal of the table at `path`. With `resume` the rows of an earlier time by the same `analysis` are kept;
+    /// Opens the journal of the table at `path`. With `resume` earlier rows of the same `analysis` are kept;
     /// those of another have to be of runs that are `named` now.
     pub(super) fn open(
         path: &Path,
@@ -57,21 +57,21 @@ impl Table {
         terminal: &Terminal,
     ) -> Result<Self, Failure> {
         let is_parquet = is_parquet(path)?;
-        let part = beside(path, "part");
+        let part = with_suffix(path, "part");
         if !resume {
             output::refuse_existing(path, "--out")?;
             if part.exists() {
-                let headline =
-                    format!("{}: rows of an analysis that did not come to its end", part.display());
+                let headline = format!("{}: rows of an unfinished analysis", part.display());
                 return Err(Failure::usage(
                     headline,
-                    "go on with them by --resume, or move them away",
+                    "continue it with --resume, or move the file away",
                 ));
             }
         }
         if is_parquet && path.exists() {
-            let headline = format!("{}: a Parquet file is not gone on with", path.display());
-            let help = "keep the table as CSV, which is: DuckDB, Polars and pandas read it as well";
+            let headline = format!("{}: a Parquet file cannot be continued", path.display());
+            let help =
+                "write the table as CSV, which can: DuckDB, Polars and pandas read it as well";
             return Err(Failure::usage(headline, help));
         }
         let names: Vec<&str> = columns.iter().map(|(name, _)| name.as_str()).collect();
@@ -91,14 +91,14 @@ impl Table {
                 "wait for its end, or give another name to --out",
             ));
         }
-        let mut known = Known { analysis, rows: HashMap::new(), others: Vec::new() };
+        let mut known = EarlierRows { analysis, rows: HashMap::new(), others: Vec::new() };
         let mut sources = vec![journal.try_clone().map_err(cannot)?];
         if resume && path.exists() {
             let mut table = File::open(path).map_err(|error| cannot_read(path, &error))?;
             known.read(&mut table, 1, &header).map_err(cannot)?;
             sources.push(table);
         }
-        // What was torn when the program was killed is cut.
+        // A row that was incomplete when the program was killed is cut.
         let end = known.read(&mut journal, 0, &header).map_err(cannot)?;
         let lost = known.others.iter().flatten().filter(|run| !named.contains(*run)).count();
         if lost > 0 {
@@ -129,7 +129,7 @@ impl Table {
         Ok(table)
     }
 
-    /// How the kept row of a run came out, where it is of the same content.
+    /// Status of the kept row of a run whose content has not changed.
     pub(super) fn kept(&self, run: &str, content: &str) -> Option<Status> {
         let place = self.rows.get(run)?;
         (place.content == content).then_some(place.status)
@@ -139,7 +139,7 @@ impl Table {
     pub(super) fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
         let texts: Vec<String> = cells.iter().map(Cell::text).collect();
         let line = line_of(&texts);
-        let place = Place {
+        let place = RowLocation {
             source: 0,
             offset: self.end,
             length: line.len(),
@@ -155,15 +155,15 @@ impl Table {
         let _whole = self.terminal.writing();
         self.journal
             .write_all(line.as_bytes())
-            .map_err(|error| output::cannot_write(&beside(&self.path, "part"), &error))?;
+            .map_err(|error| output::cannot_write(&with_suffix(&self.path, "part"), &error))?;
         self.end += line.len() as u64;
         Ok(())
     }
 
-    /// Writes the rows of these runs in this order as the table, whole or not at all; the journal goes. Gives the number of
+    /// Replaces the table atomically with the rows of these runs in this order, and removes the journal. Returns the number of
     /// rows of other runs, options and versions, which are left out.
     pub(super) fn finish(mut self, runs: &[PathBuf]) -> Result<usize, Failure> {
-        let new = beside(&self.path, "new");
+        let new = with_suffix(&self.path, "new");
         let path = self.path.clone();
         let terminal = self.terminal.clone();
         let cannot = |error: std::io::Error| output::cannot_write(&path, &error);
@@ -179,7 +179,7 @@ impl Table {
         }
         File::open(&new).and_then(|file| file.sync_all()).map_err(cannot)?;
         fs::rename(&new, &self.path).map_err(cannot)?;
-        fs::remove_file(beside(&self.path, "part")).map_err(cannot)?;
+        fs::remove_file(with_suffix(&self.path, "part")).map_err(cannot)?;
         Ok(self.replaced + self.rows.len().saturating_sub(runs.len()))
     }
 
@@ -208,13 +208,13 @@ fn is_parquet(path: &Path) -> Result<bool, Failure> {
         Some("csv") => Ok(false),
         Some("parquet") => require_parquet().map(|()| true),
         _ => {
-            let headline = format!("--out {}: its form is not known", path.display());
+            let headline = format!("--out {}: its format is not known", path.display());
             Err(Failure::usage(headline, "allowed: a name that ends with .csv or .parquet"))
         }
     }
 }
 
-fn beside(path: &Path, ending: &str) -> PathBuf {
+fn with_suffix(path: &Path, ending: &str) -> PathBuf {
     let mut name = path.as_os_str().to_owned();
     name.push(".");
     name.push(ending);
@@ -224,15 +224,15 @@ fn beside(path: &Path, ending: &str) -> PathBuf {
 /// One line of a CSV.
 pub(super) fn line_of<T: AsRef<[u8]>>(cells: &[T]) -> String {
     let mut writer = csv::Writer::from_writer(Vec::new());
-    // Nothing that goes to memory, and no row of another length before it.
+    // Cannot fail: it writes to memory, and there is no row before it whose length could differ.
     let _ = writer.write_record(cells);
     let bytes = writer.into_inner().unwrap_or_default();
     String::from_utf8_lossy(&bytes).into_owned()
 }
 
-/// Refuses to go on with a file that has not exactly the columns of this table: it is another's. A journal may end within
-/// them, where the program was killed.
-fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Failure> {
+/// Refuses a file whose columns are not exactly those of this table. A journal may end within its header, where the program
+/// was killed.
+fn refuse_other(path: &Path, header: &str, may_be_cut: bool) -> Result<(), Failure> {
     if !path.exists() {
         return Ok(());
     }
@@ -243,13 +243,11 @@ fn refuse_other(path: &Path, header: &str, may_be_torn: bool) -> Result<(), Fail
     });
     read.map_err(|error| cannot_read(path, &error))?;
     let is_ours = first == header.as_bytes();
-    if is_ours || may_be_torn && header.as_bytes().starts_with(&first) {
+    if is_ours || may_be_cut && header.as_bytes().starts_with(&first) {
         return Ok(());
     }
-    let headline =
-        format!("{}: not a table of this analysis: its columns are others", path.display());
-    let help =
-        "another --model has other columns, another version may have; give another name to --out";
+    let headline = format!("{}: not a table of this analysis: its columns differ", path.display());
+    let help = "another --model or another version has other columns; give another name to --out";
     Err(Failure::usage(headline, help))
 }
 
@@ -257,16 +255,16 @@ fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
     Failure::usage(format!("{}: cannot read: {error}", path.display()), "check the path")
 }
 
-/// Rows of an earlier time.
-struct Known<'a> {
+/// Rows of an earlier analysis.
+struct EarlierRows<'a> {
     analysis: &'a str,
-    rows: HashMap<String, Place>,
+    rows: HashMap<String, RowLocation>,
     /// The runs of rows that are of another analysis; `None` where a row names none.
     others: Vec<Option<String>>,
 }
 
-impl Known<'_> {
-    /// Takes over the rows of a file; gives the end of its last whole row.
+impl EarlierRows<'_> {
+    /// Takes over the rows of a file; returns the end of its last whole row.
     fn read(&mut self, file: &mut File, source: usize, header: &str) -> std::io::Result<u64> {
         file.rewind()?;
         let mut lines = BufReader::new(&*file);
@@ -301,7 +299,7 @@ impl Known<'_> {
         let from_end = |back: usize| record.len().checked_sub(back).and_then(|at| record.get(at));
         let status = Status::named(record.get(1)?)?;
         let is_own = from_end(3)? == env!("CARGO_PKG_VERSION") && from_end(2)? == self.analysis;
-        let place = is_own.then(|| Place {
+        let place = is_own.then(|| RowLocation {
             source,
             offset,
             length,

@@ -92,8 +92,8 @@ impl Baseline {
             };
             for (parameters, began) in earlier {
                 let parameters = estimates(&parameters);
-                // Under another path, or in the result of the suite that made it, a run is no repeat.
-                if before.iter().any(|known| has_figures(&parameters, known)) {
+                // The same run under another path, or in the result of the suite that made it, counts once.
+                if before.iter().any(|known| is_identical(&parameters, known)) {
                     repeated += 1;
                     continue;
                 }
@@ -106,14 +106,14 @@ impl Baseline {
                 format!("no baseline has the step {step:?} of the case {case:?} with what it found")
             } else {
                 format!(
-                    "the baseline is not known to be of this machine, which is {}: {}; --any-machine compares all the same",
+                    "the baseline is not known to be of this machine, which is {}: {}; --any-machine compares nevertheless",
                     found.machine,
                     others.join("; ")
                 )
             });
         };
         let now = estimates(&found.parameters);
-        let is_itself = before.iter().any(|known| has_figures(&now, known));
+        let is_itself = before.iter().any(|known| is_identical(&now, known));
         let mut drift = between(&before, &[now], &first);
         let cautions = [
             (!is_alike).then_some(DriftCaution::OtherExcitation),
@@ -168,7 +168,7 @@ pub(super) fn identified(
         .map_err(|error| error.to_string())?;
     if done.end != End::Status(0) {
         let reason = process::error_message(&stderr);
-        let reason = reason.unwrap_or_else(|| "it did not end in its time".to_owned());
+        let reason = reason.unwrap_or_else(|| "it did not end in time".to_owned());
         return Err(format!("the baseline cannot be identified: {reason}"));
     }
     let text = std::fs::read_to_string(&stdout).unwrap_or_default();
@@ -210,20 +210,20 @@ fn manifest_of(run: &Path) -> Option<Manifest> {
     serde_json::from_str(&text).ok()
 }
 
-/// What a step found in the runs of an earlier suite; a result of before it kept that has none.
+/// What a step found in the runs of an earlier suite; none where an older version has not recorded it.
 fn steps_of(result: &Value, case: &str, step: &str) -> Vec<IdentifiedStep> {
     let list = |value: &Value| value.as_array().cloned().unwrap_or_default();
     list(&result["cases"])
         .into_iter()
-        .filter(|one| one["name"] == case)
-        .flat_map(|one| list(&one["steps"]))
-        .filter(|one| one["name"] == step)
-        .filter_map(|one| serde_json::from_value(one["identified"].clone()).ok())
+        .filter(|of_case| of_case["name"] == case)
+        .flat_map(|of_case| list(&of_case["steps"]))
+        .filter(|of_step| of_step["name"] == step)
+        .filter_map(|of_step| serde_json::from_value(of_step["identified"].clone()).ok())
         .collect()
 }
 
 /// Whether what was found is the same to the last digit, as two measurements never are.
-fn has_figures(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
+fn is_identical(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
     let carried = |all: &[ParameterEstimate]| -> Vec<(String, u64)> {
         let all = all.iter();
         all.filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits()))).collect()

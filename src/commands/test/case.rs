@@ -100,7 +100,7 @@ pub(super) fn carry_out(bench: &Bench<'_>, case: &Case, seed: u64, folder: &Path
         Ok(()) => (Verdict::Passed, None),
         Err(ended) => (ended.verdict, ended.status),
     };
-    // Its end counts to the time of the case.
+    // The end of the drive counts to the time of the case.
     progress.drive = None;
     CaseOutcome {
         name: case.name.clone(),
@@ -210,7 +210,7 @@ impl Progress<'_> {
             let options: Vec<_> = same.chain([("run".to_owned(), run)]).collect();
             let arguments = self
                 .arguments(Verb::Identify, &options, &self.bench.port)
-                .map_err(|_| "its command cannot be put together".to_owned())?;
+                .map_err(|_| "its command cannot be built".to_owned())?;
             let name = format!("{number:02}-{}-baseline-{earlier}", step.name);
             let files = ["json", "txt"].map(|ending| self.folder.join(format!("{name}.{ending}")));
             baseline::identified(self.command_of(&arguments), files, timeout_s, self.bench.stop)
@@ -237,16 +237,16 @@ impl Progress<'_> {
         command
     }
 
-    /// A drive in a process of its own, with the keys as they are now.
+    /// Starts a drive in a process of its own with the present keys, unless it runs already.
     fn start_drive(&mut self) -> Result<(), Ended> {
-        let is_there = self
+        let is_running = self
             .drive
             .as_mut()
             .is_some_and(|(drive, keys)| *keys == self.changed && !drive.is_gone());
-        if is_there {
+        if is_running {
             return Ok(());
         }
-        // One after the other under one name, which the next command is given.
+        // The next drive takes the same port.
         self.drive = None;
         let bench = match self.bench_path()? {
             None => BenchFile::embedded_default(),
@@ -269,7 +269,7 @@ impl Progress<'_> {
         Ok(())
     }
 
-    /// Where a live command finds its drive.
+    /// The port of a live command.
     fn port(&self) -> String {
         match &self.drive {
             Some((drive, _)) => drive.port(),
@@ -277,7 +277,7 @@ impl Progress<'_> {
         }
     }
 
-    /// Whether a command ended as it should.
+    /// Whether a command ended with an expected status.
     fn judge_end(
         &self,
         step: &Step,
@@ -311,7 +311,7 @@ impl Progress<'_> {
         let message = error.map_or_else(String::new, |error| format!(": {error}"));
         let reason =
             format!("{name}: exit status {status}, has to be {}{message}", wanted.join(" or "));
-        // A drive that trips, or does not, against the suite is a finding; what prevents a judgement is an error.
+        // An unexpected trip, or a missing one, fails the case; what prevents a judgement is an error.
         let is_finding = status == REFUSED || status == 0 || statuses != [0];
         Err(Ended {
             verdict: if is_finding { Verdict::Failed(reason) } else { Verdict::Error(reason) },
@@ -460,14 +460,14 @@ impl Progress<'_> {
         }))
     }
 
-    /// Makes a file with other keys than those of the one that it is of.
+    /// Writes a copy of a file with some keys changed.
     fn make(&self, file: &ChangedFile) -> Result<(), Ended> {
         let wrong = |error: &dyn std::fmt::Display| Ended::error(format!("file: {error}"));
         let path = self.bench.home.join(&file.of);
         let text = read_text(&path).map_err(|failure| wrong(&failure.headline()))?;
         let mut table: toml::Table = text.parse().map_err(|error| wrong(&error))?;
         let mut keys = toml::Value::Table(file.set.clone());
-        lead_to(&mut keys, self.folder);
+        set_folder(&mut keys, self.folder);
         if let toml::Value::Table(keys) = &keys {
             merge(&mut table, keys);
         }
@@ -475,11 +475,11 @@ impl Progress<'_> {
         fs::write(self.folder.join(&file.name), text).map_err(|error| wrong(&error))
     }
 
-    /// The emulator's name or file, with what the faults changed in it.
+    /// The emulator's name or file, with the changes by faults.
     fn emulator(&self) -> Result<Option<String>, Ended> {
         let named = self.case.emulator.as_ref();
-        let near = named.map(|name| self.bench.home.join(name));
-        let named = match (near, named) {
+        let in_home = named.map(|name| self.bench.home.join(name));
+        let named = match (in_home, named) {
             (Some(path), _) if path.is_file() => Some(path.display().to_string()),
             (_, named) => named.cloned(),
         };
@@ -574,16 +574,16 @@ fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, Strin
     })
 }
 
-/// Puts the folder of the case in the place of its name.
-fn lead_to(value: &mut toml::Value, folder: &Path) {
+/// Replaces references to the case by its folder.
+fn set_folder(value: &mut toml::Value, folder: &Path) {
     match value {
         toml::Value::String(text) => {
             if let Some((CASE, rest)) = reference(text) {
                 *text = format!("{}{rest}", folder.display());
             }
         }
-        toml::Value::Array(values) => values.iter_mut().for_each(|own| lead_to(own, folder)),
-        toml::Value::Table(table) => table.iter_mut().for_each(|(_, own)| lead_to(own, folder)),
+        toml::Value::Array(values) => values.iter_mut().for_each(|own| set_folder(own, folder)),
+        toml::Value::Table(table) => table.iter_mut().for_each(|(_, own)| set_folder(own, folder)),
         _ => {}
     }
 }

@@ -1,11 +1,11 @@
-//! A suite from recorded runs: the folders read, the bench and the software drive that they were made with written beside it.
+//! A suite from recorded runs: the folders read, the bench and the software drive that they were made with written too.
 
 use std::path::{Path, PathBuf};
 
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::output::{self, Terminal};
-use crate::workflow::suite::golden::{Golden, GoldenRun, Place, golden};
+use crate::workflow::suite::golden::{Golden, GoldenRun, SuiteTarget, golden};
 use drivebench_bench::recording::{Manifest, resolved};
 
 pub(crate) struct Written {
@@ -29,7 +29,7 @@ pub(crate) fn write(
         if let Some(first) =
             run.result.pointer("/runs/0/folder").and_then(serde_json::Value::as_str)
         {
-            if commissionings.iter().any(|own| own == first) {
+            if commissionings.iter().any(|known| known == first) {
                 continue;
             }
             commissionings.push(first.to_owned());
@@ -44,12 +44,12 @@ pub(crate) fn write(
     let Some((manifest, _)) = origin else {
         return Err(Failure::usage("--suite names no run", "give run folders"));
     };
-    let [bench, emulator] = ["bench", "emulator"].map(|kind| beside(out, kind));
+    let [bench, emulator] = ["bench", "emulator"].map(|kind| file_of(out, kind));
     let config = |key: &str| manifest.configs.get(key);
     let is_emulated = manifest.identity["is_emulator"] == true && config("emulator").is_some();
     let name = |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let serial = manifest.identity["serial_number"].as_str();
-    let place = Place {
+    let target = SuiteTarget {
         bench: name(&bench),
         emulator: is_emulated.then(|| name(&emulator)),
         port: match (manifest.link.as_str(), is_emulated) {
@@ -57,11 +57,11 @@ pub(crate) fn write(
             (_, true) => "emulator".to_owned(),
             (link, false) => link.to_owned(),
         },
-        // Its serial number is the seed that drew it.
+        // The serial number of a software drive is its seed.
         seed: serial.filter(|_| is_emulated).and_then(|text| text.parse().ok()),
     };
     let stem = out.file_stem().unwrap_or_default().to_string_lossy();
-    let made = golden(&stem, &runs, &place).map_err(|(what, help)| Failure::usage(what, help))?;
+    let made = golden(&stem, &runs, &target).map_err(|(what, help)| Failure::usage(what, help))?;
     let mut files = vec![(out.to_owned(), made.text.clone())];
     files.push((bench, config("bench").cloned().unwrap_or_default()));
     if is_emulated {
@@ -76,8 +76,8 @@ pub(crate) fn write(
     Ok(Written { golden: made, files: files.into_iter().map(|(path, _)| path).collect() })
 }
 
-/// `suite.toml` and `bench`: `suite-bench.toml`.
-fn beside(out: &Path, kind: &str) -> PathBuf {
+/// `suite-bench.toml` for `suite.toml` and `bench`.
+fn file_of(out: &Path, kind: &str) -> PathBuf {
     let stem = out.file_stem().unwrap_or_default().to_string_lossy();
     out.with_file_name(format!("{stem}-{kind}.toml"))
 }
@@ -116,7 +116,7 @@ fn same_machine(one: &Manifest, of: &Path, other: &Manifest, folder: &Path) -> R
         .find(|key| one.configs.get(*key) != other.configs.get(*key));
     let what = differs.or_else(|| {
         let serial = |manifest: &Manifest| manifest.identity["serial_number"].clone();
-        // The seed of a software drive without a tolerance draws its noise, and the machine is the same.
+        // The seed of a software drive without a tolerance draws noise only: the machine is the same.
         let text = one.configs.get("emulator").map_or("", String::as_str);
         let drawn = toml::from_str::<toml::Table>(text)
             .ok()
@@ -127,7 +127,7 @@ fn same_machine(one: &Manifest, of: &Path, other: &Manifest, folder: &Path) -> R
         let headline = format!("{} and {} differ in their {what}", of.display(), folder.display());
         Err(Failure::usage(
             headline,
-            "a suite holds one machine on one bench to what it was; give its runs alone",
+            "a suite is for one machine on one bench; give the runs of one only",
         ))
     })
 }

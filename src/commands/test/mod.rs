@@ -64,7 +64,7 @@ pub(super) struct Arguments {
     /// Where the folder of this suite is made, with the evidence of each case that did not pass
     #[arg(long, value_name = "DIR", default_value = "suites")]
     out: PathBuf,
-    /// Cases with this word in their name, or as a tag; may be given more than once
+    /// Cases with this word in their name, or as a tag; may be repeated
     #[arg(long, value_name = "WORD")]
     filter: Vec<String>,
     /// Part I of N of the cases
@@ -80,7 +80,7 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE")]
     metrics: Option<PathBuf>,
     /// Compare what the steps that identify find with an earlier run of the same machine, or with result.json of an earlier
-    /// suite, and name what has drifted; may be given again
+    /// suite, and name what has drifted; may be repeated
     #[arg(long, value_name = "RUN")]
     baseline: Vec<PathBuf>,
     /// Compare also where the baseline is of another machine, or of an unknown one
@@ -131,7 +131,7 @@ fn list(suite: &Suite, arguments: &Arguments, terminal: &Terminal) -> Result<(),
     })
 }
 
-/// The verdict in a few lines: the cases themselves stood on stderr as they ended.
+/// The verdict in a few lines: each case was printed on stderr when it ended.
 fn text(outcome: &SuiteOutcome) -> String {
     let mut lines = vec![format!(
         "{}: {} passed, {} failed, {} errors, {} skipped in {:.1} s",
@@ -143,7 +143,7 @@ fn text(outcome: &SuiteOutcome) -> String {
         outcome.took_s
     )];
     if !outcome.confusion.is_empty() {
-        lines.push("hidden effect, and how many answers named which effect for it:".to_owned());
+        lines.push("hidden effect, and how many diagnoses named which effect for it:".to_owned());
     }
     let width = outcome.confusion.rows.iter().map(String::len).max();
     for (hidden, named) in outcome.confusion.named() {
@@ -246,7 +246,7 @@ fn carry_out(
     let real: Vec<&Job<'_>> = jobs.iter().filter(|job| is_real(job)).collect();
     let mut risks: Vec<String> = real.iter().filter_map(|job| risk(job.case)).collect();
     risks.dedup();
-    // Part of the question, and printed without one too.
+    // Also printed where no confirmation is needed.
     for line in risks {
         terminal.message(&line);
     }
@@ -284,7 +284,7 @@ fn carry_out(
                 stop: &stop,
                 baseline: baseline.as_ref(),
             };
-            let outcome = one(&bench, job, &folder.join(format!("{:04}", index + 1)));
+            let outcome = carry_out_job(&bench, job, &folder.join(format!("{:04}", index + 1)));
             terminal.message(&line(&outcome, job.case.repeat));
             if outcome.verdict == Verdict::Passed && !arguments.keep {
                 // A folder that cannot be removed does no harm.
@@ -309,7 +309,7 @@ fn carry_out(
     Ok(outcome)
 }
 
-fn one(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
+fn carry_out_job(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
     if bench.stop.load(Ordering::Acquire) {
         return CaseOutcome::skipped(job.case, job.seed, "interrupted");
     }
@@ -457,7 +457,7 @@ mod tests {
         each(0..2, 2, |one| {
             lock(&begun).push(one);
             changed.notify_all();
-            // Each waits for the other: the time is only there to fail in.
+            // Each waits for the other: the timeout ends only a failing test.
             let waited = changed
                 .wait_timeout_while(lock(&begun), Duration::from_secs(60), |all| all.len() < 2)
                 .unwrap();

@@ -1,8 +1,8 @@
 //! A command of this program as a process of its own: a time limit, an end that stops the motor, and its error message.
 //!
-//! A process and no thread: a case that crashes or hangs is an error of that case. It gets SIGTERM first, so that its guard
+//! A process, not a thread: a case that crashes or hangs is an error of that case. It gets SIGTERM first, so that its guard
 //! brings the motor to zero; only one that does not end is killed, and then the drive's watchdog stops the motor. Where the
-//! suite itself is gone the kernel sends the signal (on Linux): no command runs on unwatched.
+//! suite itself is gone the kernel sends the signal (on Linux): no command continues unsupervised.
 
 use std::fs::{self, File};
 use std::io;

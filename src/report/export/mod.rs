@@ -69,7 +69,7 @@ pub struct Regulator {
     pub gains: PiGains,
     pub holding: Holding,
     pub period_s: f64,
-    /// Age of the measurement against the output behind the limit, s.
+    /// Age of the measurement relative to the limited output, s.
     pub leaving_s: f64,
     pub limit_v: f64,
 }
@@ -90,7 +90,7 @@ impl Regulator {
 }
 
 pub struct Export {
-    /// What it is called where a language wants a name.
+    /// Its name in the exported language.
     name: String,
     title: String,
     parameters: Vec<(String, f64, &'static str)>,
@@ -133,12 +133,12 @@ impl Export {
         let (mut terms, mut states) = (Vec::new(), Vec::new());
         for active in &model.effects {
             let id = active.id();
-            if is_nothing(active) {
+            if is_zero_path(active) {
                 continue;
             }
             let formulas = active.effect.formula().ok_or_else(|| ExportError::Effect {
                 id: id.to_owned(),
-                reason: unwritten(active),
+                reason: why_no_formula(active),
             })?;
             let specs = active.effect.parameters().iter();
             for (spec, value) in specs.clone().zip(active.values_or_guess()) {
@@ -181,7 +181,7 @@ impl Export {
         let mut text = template.replace("{{regulator}}", regulator);
         let mut fill = |key: &str, value: &str| {
             let mark = format!("{{{{{key}}}}}");
-            // A line that would be empty is none.
+            // A line that would be empty is removed.
             if value.is_empty() {
                 text = text.replace(&format!("{mark}\n"), "");
             }
@@ -270,7 +270,7 @@ impl Export {
                 self.lines(|key, value, unit| format!("  p.{key} = {value:?}; % {unit}"))
             }
             Target::Modelica => self.lines(|key, value, unit| {
-                // As its grammar of units writes none.
+                // The unit of a number without a unit, in its grammar.
                 let unit = if unit == "-" { "1" } else { unit };
                 format!("  parameter Real {key}(unit = \"{unit}\") = {value:?};")
             }),
@@ -297,9 +297,9 @@ impl Export {
 
     /// All formulas of a place, zero where there is none.
     fn sum(&self, place: Place, language: &Language) -> String {
-        let here = self.terms.iter().filter(|term| term.formula.place == place);
+        let terms = self.terms.iter().filter(|term| term.formula.place == place);
         let texts: Vec<String> =
-            here.map(|term| language.written(&term.formula.tree, &self.names(term))).collect();
+            terms.map(|term| language.written(&term.formula.tree, &self.names(term))).collect();
         match &texts[..] {
             [] => "0.0".to_owned(),
             [one] => one.clone(),
@@ -345,20 +345,18 @@ pub fn formulas(active: &ActiveEffect) -> Option<Vec<(&'static str, String)>> {
     Some(written.collect())
 }
 
-/// Whether it lies on the way of command and measurement with a size of zero: a delay or a filter of no time.
-fn is_nothing(active: &ActiveEffect) -> bool {
+/// Whether it is a delay or filter of zero time in the path of the command or the measurement.
+fn is_zero_path(active: &ActiveEffect) -> bool {
     let terms = active.effect.terms(&active.values_or_guess());
     active.effect.card().enters == Enters::Path && terms.path() == Path::default()
 }
 
-fn unwritten(active: &ActiveEffect) -> String {
+fn why_no_formula(active: &ActiveEffect) -> String {
     let terms = active.effect.terms(&active.values_or_guess());
     let reason = match active.effect.card().enters {
-        Enters::Path => {
-            "it delays the command or the measurement, which needs a memory of the past"
-        }
+        Enters::Path => "it delays the command or the measurement, which needs earlier samples",
         _ if terms.coupling().is_some() => {
-            "it is a second inertia, whose play and friction behind the shaft a step function of one inertia does not hold"
+            "it is a second inertia with play and friction, and the exported step function has one inertia"
         }
         _ => "its curve closes over a turn of the shaft",
     };
@@ -368,9 +366,9 @@ fn unwritten(active: &ActiveEffect) -> String {
 /// A name that every language takes: letters, digits and underscores, a letter first.
 pub fn identifier(text: &str) -> String {
     let mut name = String::new();
-    for here in text.trim().chars() {
-        match here {
-            _ if here.is_ascii_alphanumeric() => name.push(here.to_ascii_lowercase()),
+    for letter in text.trim().chars() {
+        match letter {
+            _ if letter.is_ascii_alphanumeric() => name.push(letter.to_ascii_lowercase()),
             _ if name.ends_with('_') || name.is_empty() => {}
             _ => name.push('_'),
         }

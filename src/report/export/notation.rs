@@ -74,7 +74,7 @@ impl Language {
         if text.starts_with('-') { format!("({text})") } else { text }
     }
 
-    /// The tree where an operator of this strength stands beside it.
+    /// The tree as the operand of an operator of this precedence.
     fn bound(&self, tree: &Tree, names: &Names<'_>, least: Precedence) -> String {
         let (text, strength) = self.bare(tree, names);
         if strength < least { format!("({text})") } else { text }

@@ -191,11 +191,11 @@ fn write(folder: &Path, name: &str, text: &str) -> PathBuf {
     path
 }
 
-/// What a program prints; it must end well and say nothing on stderr.
+/// What a program prints; it must succeed without a message on stderr.
 fn printed(command: &mut Command) -> String {
     let output = command.output().unwrap();
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success() && said.is_empty(), "{command:?}: {said}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success() && errors.is_empty(), "{command:?}: {errors}");
     String::from_utf8(output.stdout).unwrap()
 }
 
@@ -208,17 +208,17 @@ fn compiled(folder: &Path, main: &str) -> PathBuf {
     program
 }
 
-/// Whether a peer is there; where it is not, the test says aloud that nothing was checked against it.
-fn is_there(program: &str, arguments: &[&str]) -> bool {
+/// Whether a tool is available; where it is not, the test reports on stderr that nothing was checked against it.
+fn is_available(program: &str, arguments: &[&str]) -> bool {
     let found = Command::new(program).args(arguments).output();
-    let there = found.is_ok_and(|output| output.status.success());
-    if !there {
+    let works = found.is_ok_and(|output| output.status.success());
+    if !works {
         let command = arguments.join(" ");
         eprintln!(
             "SKIPPED: `{program} {command}` does not work here: nothing was checked against it"
         );
     }
-    there
+    works
 }
 
 /// Lines of the loop's inputs and of the rows, as every language writes a list.
@@ -239,7 +239,7 @@ fn lists() -> [(&'static str, String); 4] {
 
 #[test]
 fn c_gives_what_the_simulation_gives() {
-    if !is_there("cc", &["--version"]) {
+    if !is_available("cc", &["--version"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -311,7 +311,7 @@ fn a_map_as_csv_has_empty_cells_where_nothing_was_measured() {
 
 #[test]
 fn a_map_in_c_gives_what_the_program_reads_from_it() {
-    if !is_there("cc", &["--version"]) {
+    if !is_available("cc", &["--version"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -351,7 +351,7 @@ fn a_map_in_c_gives_what_the_program_reads_from_it() {
 
 #[test]
 fn python_gives_what_the_simulation_gives() {
-    if !is_there("python3", &["-c", "import numpy"]) {
+    if !is_available("python3", &["-c", "import numpy"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();
@@ -388,10 +388,10 @@ fn python_gives_what_the_simulation_gives() {
 
 #[test]
 fn octave_gives_what_the_simulation_gives() {
-    if !is_there("octave-cli", &["--version"]) {
+    if !is_available("octave-cli", &["--version"]) {
         return;
     }
-    // It is slow: as far as the shaft stands still in its first reversal.
+    // Octave is slow: only up to the standstill in the first reversal.
     let rows = ROWS / 2;
     let folder = tempfile::tempdir().unwrap();
     let models = few();
@@ -415,9 +415,9 @@ fn octave_gives_what_the_simulation_gives() {
     let mut octave = Command::new("octave-cli");
     octave.args(["--norc", "--no-window-system", "--eval", "run_all"]);
     let output = octave.current_dir(folder.path()).output().unwrap();
-    // It may complain of its own end, so that only its status counts.
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}");
+    // Octave may print messages at its end, so that only its status counts.
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
     let out = String::from_utf8(output.stdout).unwrap();
     let (simulated, regulated) = out.split_once("regulator").unwrap();
     check(&models, simulated, rows);
@@ -443,7 +443,7 @@ def run(name, end_s, rows):
 
 #[test]
 fn modelica_gives_what_the_simulation_gives() {
-    if !is_there("python3", &["-c", "import rumoca"]) {
+    if !is_available("python3", &["-c", "import rumoca"]) {
         return;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -61,7 +61,7 @@ impl Domain {
 
 /// Share of a step that is rounding, not distance.
 const ROUNDING: f64 = 1e-7;
-/// Digits that tell any two doubles apart, and digits in which rounding does not show.
+/// Digits that distinguish any two doubles, and digits without rounding errors.
 const ALL_DIGITS: usize = 17;
 const SAFE_DIGITS: usize = 7;
 
@@ -173,7 +173,7 @@ mod tests {
                 prop_assert!((pair[1] - pair[0] - step).abs() <= 4.0 * rounding);
             }
             prop_assert!(found[0] >= range.from - rounding && found[found.len() - 1] <= range.to + rounding);
-            // No tick is forgotten at either end.
+            // No tick is missing at either end.
             prop_assert!(found[0] - step < range.from + rounding);
             prop_assert!(found[found.len() - 1] + step > range.to - rounding);
             for (label, tick) in labels(&found).iter().zip(&found) {

@@ -15,7 +15,7 @@ pub const FOOT: f64 = 44.0;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Along {
     Linear,
-    /// Powers of ten; the domain is that of the exponents, and what lies beyond is drawn at the edge.
+    /// Powers of ten; the domain is that of the exponents, and values outside it are drawn at the edge.
     Log,
 }
 
@@ -62,7 +62,7 @@ impl Scale {
 pub struct Svg(pub String);
 
 impl Svg {
-    /// The whole picture; `more` stands among the attributes, `description` is read out where it cannot be seen.
+    /// The whole picture; `more` are further attributes, `description` is for screen readers.
     pub fn close(self, class: &str, height: f64, description: &str, more: &str) -> String {
         format!(
             "<svg class=\"{class}\" viewBox=\"0 0 {} {}\" role=\"img\" aria-label=\"{}\"{more}>{}</svg>",

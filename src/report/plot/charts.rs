@@ -1,4 +1,4 @@
-//! The pictures that are no course over time: bars, curves with their intervals, a map.
+//! Pictures without a time axis: bars, curves with their intervals, a map.
 
 use super::axis::{Domain, labels, plain, powers, ticks};
 use super::chart::{Along, FOOT, HEAD, LEFT, Scale, Svg, WIDTH, polyline, px, width};
@@ -6,8 +6,8 @@ use super::panels::Style;
 use drivebench_model::sample::TWO_SIDED_95;
 use drivebench_model::text::number::significant;
 
-/// Horizontal bars from zero with a goal line that they ought to reach: the ladder of models and the noise floor. A value
-/// that is not finite has no bar and says so.
+/// Horizontal bars from zero with a goal line: the ladder of models and the noise floor. A value that is not finite has no
+/// bar.
 pub fn bars(
     description: &str,
     axis: &str,
@@ -16,7 +16,7 @@ pub fn bars(
 ) -> String {
     const ROW: f64 = 46.0;
     const LEFT: f64 = 16.0;
-    // Values stand behind their bars.
+    // Values are printed after their bars.
     const RIGHT: f64 = 76.0;
     let goal = goal.filter(|goal| goal.1.is_finite());
     let shown = bars.iter().map(|bar| bar.1.max(0.0));
@@ -48,8 +48,8 @@ pub fn bars(
     svg.close("plot", base + FOOT, description, "")
 }
 
-/// Curves with their 95 % intervals over one axis, in panels one under the other: what an equation lacks over speed, current,
-/// angle or time; a frequency response.
+/// Curves with their 95 % intervals over one axis, in panels one under the other: the error of an equation over speed,
+/// current, angle or time; a frequency response.
 #[derive(Clone, Debug, Default)]
 pub struct AxisChart {
     pub axis: String,
@@ -63,7 +63,7 @@ pub struct AxisChart {
 pub struct AxisPanel {
     pub title: String,
     pub height: f64,
-    /// What the axis shows at least.
+    /// Values that the axis contains at least.
     pub holds: Vec<f64>,
     pub sets: Vec<PointSet>,
     /// Drawn through the points: its label, and points that are all finite; may be empty.
@@ -100,7 +100,7 @@ pub struct Place {
 }
 
 impl Place {
-    /// With a standard deviation; one that is not finite is taken for none.
+    /// With a standard deviation; one that is not finite counts as none.
     pub fn new(at: f64, value: f64, std: f64) -> Self {
         let half = if std.is_finite() { TWO_SIDED_95 * std } else { 0.0 };
         Self { at, value, low: value - half, high: value + half }
@@ -118,7 +118,7 @@ impl PointSet {
 }
 
 impl AxisPanel {
-    /// What the axis of values holds; none where there are not two points.
+    /// The range of the values; none where there are not two points.
     pub fn values(&self) -> Option<Domain> {
         let sets = self.sets.iter().filter(|set| set.drawn != Drawn::Faint);
         let known = sets.flat_map(PointSet::known);
@@ -133,7 +133,7 @@ impl AxisChart {
         self.panels.iter().filter_map(|panel| Some((panel, panel.values()?)))
     }
 
-    /// What all panels span, exponents where the axis is logarithmic.
+    /// The range of all panels, in exponents where the axis is logarithmic.
     pub fn across(&self) -> Option<Domain> {
         let sets = || self.shown().flat_map(|(panel, _)| &panel.sets);
         let points = sets().flat_map(PointSet::known).map(|point| point.at);
@@ -212,7 +212,7 @@ impl AxisPanel {
                 }
             }
         }
-        // Where the run never was the line has no meaning.
+        // Where there is no data the line is not drawn.
         let widest = 0.1 * (x.domain.to - x.domain.from);
         let pieces = line.chunk_by(|a, b| b.0 - a.0 <= widest);
         let place = |(at, value): &(f64, f64)| (x.px(*at), y.px(*value));
@@ -269,7 +269,7 @@ fn draw_curve(
     svg.path(&format!("series {class}"), &(curve + end));
 }
 
-/// A grid of cells: the darker, the larger; the value stands in each, so that grey paper says the same.
+/// A grid of cells: the darker, the larger; each has its value in it, for print in grey.
 #[derive(Clone, Debug)]
 pub struct MapChart<'a> {
     pub title: String,
@@ -333,7 +333,7 @@ impl MapChart<'_> {
 mod tests {
     use super::*;
 
-    /// What stands between two texts, wherever the first one occurs.
+    /// The text between two others, wherever the first one occurs.
     fn between<'a>(svg: &'a str, before: &'a str, after: char) -> impl Iterator<Item = &'a str> {
         let rest = svg.split(before).skip(1);
         rest.map(move |rest| rest.split(after).next().unwrap_or_default())
@@ -354,7 +354,7 @@ mod tests {
     }
 
     #[test]
-    fn knots_stand_at_their_place_and_a_missing_one_is_left_out() {
+    fn knots_are_at_their_axis_value_and_a_missing_one_is_left_out() {
         let chart = |values: &[f64], std: &[f64]| {
             let stds = std.iter().copied().chain(std::iter::repeat(f64::NAN));
             let points = [-100.0, 0.0, 100.0].into_iter().zip(values).zip(stds);
@@ -430,7 +430,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cell_stands_at_its_edges_and_an_unknown_one_is_left_out() {
+    fn a_cell_is_at_its_edges_and_an_unknown_one_is_left_out() {
         let chart = |values: &[Vec<Option<f64>>]| {
             MapChart {
                 title: "t".into(),

@@ -67,8 +67,8 @@ pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> P
         last_time = piece[piece.len() - 1].0;
         let mut rest = piece.as_slice();
         while let Some(first) = rest.first() {
-            let here = column(first.0);
-            let same = |time: f64| same_number(column(time), here);
+            let number = column(first.0);
+            let same = |time: f64| (column(time) - number).abs() < 0.5;
             let (points, after) = rest.split_at(rest.partition_point(|point| same(point.0)));
             push_extremes(&mut line, points, same);
             rest = after;
@@ -80,11 +80,7 @@ pub(super) fn decimate(pieces: &Pieces, from: f64, to: f64, columns: usize) -> P
     out
 }
 
-fn same_number(a: f64, b: f64) -> bool {
-    (a - b).abs() < 0.5
-}
-
-/// Adds the smallest and largest point of one column in order of time, and the last one, from which the line goes on.
+/// Adds the smallest and largest point of one column in order of time, and the last one, where the line continues.
 /// What the line already holds of the same column, from before a gap that was closed, is merged.
 fn push_extremes(line: &mut Vec<(f64, f64)>, points: &[(f64, f64)], same: impl Fn(f64) -> bool) {
     let kept = line.iter().rev().take_while(|point| same(point.0)).count();

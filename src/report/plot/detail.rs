@@ -1,5 +1,5 @@
-//! The points behind the lines of a picture, as a page carries them for zooming in: a second level of decimation, finer than
-//! the picture, and all points where they are few.
+//! The points of the lines of a picture, in the page for zooming in: a second level of decimation, finer than the picture, or
+//! all points where they are few.
 
 use super::decimate::{Pieces, decimate};
 
@@ -53,12 +53,12 @@ fn base64(text: &mut String, bytes: &[u8]) {
     const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
     text.reserve(bytes.len().div_ceil(3) * 4);
     for group in bytes.chunks(3) {
-        let byte = |place: usize| u32::from(group.get(place).copied().unwrap_or(0));
+        let byte = |index: usize| u32::from(group.get(index).copied().unwrap_or(0));
         let bits = byte(0) << 16 | byte(1) << 8 | byte(2);
-        for place in 0..4 {
-            let digit = (bits >> (18 - 6 * place)) & 63;
-            let is_there = place <= group.len();
-            text.push(if is_there { char::from(DIGITS[digit as usize]) } else { '=' });
+        for index in 0..4 {
+            let digit = (bits >> (18 - 6 * index)) & 63;
+            let is_digit = index <= group.len();
+            text.push(if is_digit { char::from(DIGITS[digit as usize]) } else { '=' });
         }
     }
 }

@@ -4,13 +4,13 @@
 //! chart: margins, scales (linear, logarithmic), axes with their ticks, pieces of SVG: the same for all
 //! samples -> pieces (cut at gaps) -> decimate (extremes per column) -> panels over one time axis
 //!                                '-> detail: the points for zooming in, decimated far less
-//! what an equation lacks over one axis, the effect through it; magnitude, phase and coherence over frequency -> axis chart,
-//! which a terminal draws as well
+//! error of an equation over one axis, curve of an effect; magnitude, phase and coherence over frequency -> axis chart, which a
+//! terminal draws as well
 //! rungs -> bars with the noise floor as the goal    error over speed x current -> map
 //! ```
 //!
-//! Every line has a dash pattern beside its colour, and every colour is a variable of the page, so that a page printed
-//! in grey or shown on a dark screen says the same.
+//! Every line has a dash pattern besides its colour, and every colour is a variable of the page, so that a page can be
+//! printed in grey or shown on a dark screen.
 
 pub mod axis;
 pub mod chart;
@@ -24,7 +24,7 @@ pub use decimate::GAP;
 pub use detail::MOST_POINTS;
 pub use panels::{Panel, Style, TIME, stacked};
 
-/// Light, dark and printed. Every kind of line has a dash pattern beside its colour.
+/// Light, dark and printed. Every kind of line has a dash pattern besides its colour.
 pub(super) const STYLE: &str = include_str!("plot.css");
 
 /// A picture and, where its lines run over one axis, the points behind them, with which the script of a page zooms.

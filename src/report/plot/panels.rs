@@ -96,11 +96,11 @@ impl Panel {
         values: &[f64],
     ) -> Self {
         let points = time_s.iter().copied().zip(values.iter().copied());
-        let seen = |(time_s, value)| match value {
+        let in_frame = |(time_s, value)| match value {
             value if self.frame.contains(&value) => (time_s, value),
             _ => (time_s, f64::NAN),
         };
-        let pieces = pieces(points.map(seen));
+        let pieces = pieces(points.map(in_frame));
         self.with(label, style, pieces)
     }
 
@@ -220,7 +220,7 @@ fn path(series: &Series, x: &Scale, y: &Scale) -> String {
 }
 
 /// Panels one under the other over `axis`, its name and unit (which may be empty); panels without any value are left out.
-/// The description is read out where the picture cannot be seen; empty where there is no panel. Of the points behind it at most
+/// The description is for screen readers; the plot is empty where there is no panel. Of the points behind it at most
 /// about `most_points` are kept for zooming in.
 pub fn stacked(
     description: &str,

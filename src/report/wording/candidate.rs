@@ -10,9 +10,6 @@ use drivebench_model::plant::{Effect, effect};
 use drivebench_model::text::number::{probability, significant, with_std, with_unit};
 use std::fmt::Write as _;
 
-/// Factor from which on it is told that intervals were widened.
-const WORTH_SAYING_RATIO: f64 = 1.05;
-
 pub const fn status(status: Status) -> &'static str {
     match status {
         Status::Supported => "supported",
@@ -49,7 +46,7 @@ pub fn evidence(own: &Candidate) -> String {
         CandidateFinding::Named { floor, holdout_from } => {
             let when = effect.and_then(|effect| happening(effect, &own.onsets, holdout_from));
             format!(
-                "{name} is there with {percent}{}; with it the held-out error goes from {:.2} to {:.2} {}",
+                "{name} has a probability of {percent}{}; with it the held-out error goes from {:.2} to {:.2} {}",
                 when.map_or_else(String::new, |when| format!(" ({when})")),
                 own.holdout_before,
                 own.holdout_after.unwrap_or(f64::NAN),
@@ -57,13 +54,13 @@ pub fn evidence(own: &Candidate) -> String {
             )
         }
         CandidateFinding::RuledOut => format!(
-            "{name} is there with {percent}{}{}",
+            "{name} has a probability of {percent}{}{}",
             most(own.upper_bound),
             size(own.detectable)
                 .map_or_else(String::new, |least| format!("; {least} would have shown"))
         ),
         CandidateFinding::MayBeThere { upper_bound } => {
-            format!("{name} may be there, with {percent}{}", most(upper_bound))
+            format!("{name} is possible, with a probability of {percent}{}", most(upper_bound))
         }
     };
     if let Some(reason) = &own.not_named {
@@ -71,7 +68,7 @@ pub fn evidence(own: &Candidate) -> String {
         text += &veto(reason);
     }
     if let Some(other) = own.as_good_as {
-        let _ = write!(text, "; explains as much as {other}; these runs cannot tell them apart");
+        let _ = write!(text, "; explains as much as {other}; these runs do not distinguish them");
     }
     text
 }
@@ -84,7 +81,7 @@ pub(super) fn not_judged(name: &str, why: &str) -> String {
 pub fn veto(reason: &VetoReason) -> String {
     match reason {
         VetoReason::Surplus { most } => {
-            format!("more than {most} effects would be there at once, and others explain more")
+            format!("more than {most} effects would act at once, and others explain more")
         }
         VetoReason::HoldoutStill => HOLDOUT_STILL.to_owned(),
         VetoReason::SearchCut => {
@@ -92,20 +89,20 @@ pub fn veto(reason: &VetoReason) -> String {
                 .to_owned()
         }
         VetoReason::FrequencyTooHigh { found_hz, highest_hz } => format!(
-            "its frequency of {found_hz:.1} Hz lies above half the rate of the samples, {highest_hz:.1} Hz"
+            "its frequency of {found_hz:.1} Hz is above half the sampling rate, {highest_hz:.1} Hz"
         ),
         VetoReason::FrequencyUnknown { found_hz, std_hz } => {
             format!("its frequency is not determined ({found_hz:.1} ± {std_hz:.1} Hz)")
         }
-        VetoReason::SizeMayBeZero => "the fit with it does not tell its size from zero".to_owned(),
+        VetoReason::SizeMayBeZero => "in the fit with it its size is not significant".to_owned(),
         VetoReason::SizeMayBeZeroInBalance => {
-            "the balance of torques does not tell its size from zero".to_owned()
+            "in the torque balance its size is not significant".to_owned()
         }
         VetoReason::NoInertia => {
-            "an artefact: with it the balance of torques has no inertia any more".to_owned()
+            "an artefact: with it the torque balance has no inertia any more".to_owned()
         }
         VetoReason::ByChance => {
-            "it takes no more from the errors than chance does, which are at the noise without it"
+            "it reduces the errors no more than chance would, and they are at the noise without it"
                 .to_owned()
         }
         VetoReason::Unexplained(why) => {
@@ -123,24 +120,24 @@ pub fn veto(reason: &VetoReason) -> String {
     }
 }
 
-/// Beside sizes, where their intervals are wider than the noise alone makes them.
+/// Note on sizes whose intervals are wider than by the noise alone.
 pub fn widened(own: &Candidate) -> Option<String> {
-    (own.interval_factor > WORTH_SAYING_RATIO).then(|| {
+    (own.interval_factor > 1.05).then(|| {
         format!(
-            "widened {:.1} times, as more than noise is left over: they hold if nothing else is missing",
+            "widened {:.1} times, because more than noise is left: valid if no other effect is missing",
             own.interval_factor
         )
     })
 }
 
-/// What its size is below.
+/// The upper bound of its size.
 pub fn at_most(own: &Candidate) -> Option<String> {
     sized(own, "at most", own.upper_bound)
 }
 
-/// The smallest size that would have been named.
-pub fn seen_from(own: &Candidate) -> Option<String> {
-    sized(own, "seen from", own.detectable)
+/// The smallest size that would have been detected.
+pub fn detectable_from(own: &Candidate) -> Option<String> {
+    sized(own, "detectable from", own.detectable)
 }
 
 /// A size in the unit of the parameter that gives the effect its size.
@@ -150,7 +147,7 @@ fn sized(own: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
     Some(format!("{lead} {}", with_unit(&significant(size, 2), unit)))
 }
 
-/// A bound that is one: a time that is longer than the run is not.
+/// A usable bound: a time that is longer than the run is none.
 fn bound(size: Option<f64>, unit: &str, run_s: f64) -> Option<f64> {
     size.filter(|size| size.is_finite() && (unit != "s" || *size <= run_s))
 }
@@ -160,7 +157,7 @@ fn unit_of_size(effect: &dyn Effect) -> &'static str {
     effect.parameters().get(effect.size_index()).map_or("", |spec| spec.unit)
 }
 
-/// When something that happens once did so, and what it changed.
+/// When an event happened, and what it changed.
 pub(super) fn happening(
     effect: &dyn Effect,
     onsets: &[Onset],
@@ -173,7 +170,7 @@ pub(super) fn happening(
         unit => format!("{change} {:+.3} {unit}", onset.size),
     };
     let when = |onset: &Onset| format!("from {:.2} s on, {}", onset.time_s, size(onset));
-    let place = |onset: &Onset| match (onset.run, onset.number) {
+    let run = |onset: &Onset| match (onset.run, onset.number) {
         (RunOf::Fit, _) => "in the fit run".to_owned(),
         (RunOf::Whole, _) => "in the first run".to_owned(),
         (RunOf::Holdout, _) => "in the hold-out".to_owned(),
@@ -183,10 +180,10 @@ pub(super) fn happening(
     match onsets {
         [] => None,
         [one] if from == HoldoutFrom::Split && is_first(one) => Some(when(one)),
-        [one] => Some(format!("{} only, {}", place(one), when(one))),
+        [one] => Some(format!("{} only, {}", run(one), when(one))),
         several => {
             let each = several.iter().map(|own| {
-                if is_first(own) { when(own) } else { format!("{} {}", place(own), when(own)) }
+                if is_first(own) { when(own) } else { format!("{} {}", run(own), when(own)) }
             });
             Some(each.collect::<Vec<_>>().join("; "))
         }
@@ -221,17 +218,17 @@ mod tests {
     }
 
     #[test]
-    fn a_veto_and_a_rival_stand_behind_the_evidence() {
+    fn a_veto_and_a_rival_follow_the_evidence() {
         let mut own = candidate(2, "cogging", Status::Possible, 3.9);
         own.not_named = Some(VetoReason::SizeMayBeZero);
         own.as_good_as = Some("stribeck_friction");
         let text = evidence(&own);
-        let end = "; not named: the fit with it does not tell its size from zero; explains as much as stribeck_friction; these runs cannot tell them apart";
+        let end = "; not named: in the fit with it its size is not significant; explains as much as stribeck_friction; these runs do not distinguish them";
         assert!(text.ends_with(end), "{text}");
     }
 
     #[test]
-    fn an_event_is_told_with_its_run_and_moment() {
+    fn an_event_has_its_run_and_time() {
         let onset = |run, number, time_s, size| Onset {
             run,
             number,

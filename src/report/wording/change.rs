@@ -1,4 +1,4 @@
-//! What adding or removing an effect did, and what the values of a model with effects are from.
+//! The result of adding or removing an effect, and the method of the values of a model with effects.
 
 use super::candidate::{not_judged, veto};
 use super::limits::{set_aside, trivial};
@@ -9,7 +9,7 @@ use drivebench_diagnose::{
 use drivebench_identify::balance::Method;
 use drivebench_model::text::number::probability;
 
-/// Why an effect is accepted or refused: how likely it is there beside all others, and what the error does.
+/// Why an effect is accepted or refused: its probability among all others, and the change of the error.
 pub fn change(result: &AddResult) -> String {
     let mut reason = reason(result);
     if let Some(refused) = &result.refused {
@@ -23,7 +23,7 @@ pub fn change(result: &AddResult) -> String {
         reason = format!("{reason}; {}", set_aside(aside));
     }
     if result.forced {
-        reason = format!("forced, although these runs do not ask for it: {reason}");
+        reason = format!("forced, although these runs do not need it: {reason}");
     }
     reason
 }
@@ -32,9 +32,10 @@ fn reason(result: &AddResult) -> String {
     let name = result.name;
     let likely = probability(result.probability);
     let fall = fall(result) + &both_processings([&result.before, &result.after]);
-    let removed =
-        |word: &str| format!("{name} {word}: it is there with {likely}, and without it {fall}");
-    // The list behind these words, if there is anything in it.
+    let removed = |verdict: &str| {
+        format!("{name} {verdict}: its probability is {likely}, and without it {fall}")
+    };
+    // The list between two texts; empty without an item.
     let listed = |before: &str, ids: &[&str], between: &str, behind: &str| {
         let words = || format!("{before}{}{behind}", ids.join(between));
         if ids.is_empty() { String::new() } else { words() }
@@ -43,17 +44,19 @@ fn reason(result: &AddResult) -> String {
         ChangeFinding::NotJudged { why } => not_judged(name, why),
         ChangeFinding::Needed => removed("is needed"),
         ChangeFinding::Superfluous => removed("is superfluous"),
-        ChangeFinding::NotShown => removed("would not show in these runs, which do not ask for it"),
+        ChangeFinding::NotShown => removed("would not show in these runs, which do not need it"),
         ChangeFinding::There { rivals } => {
-            let rivals = listed(", which these runs cannot tell from ", rivals, " and ", "");
+            let rivals = listed(", which these runs do not distinguish from ", rivals, " and ", "");
             let superfluous = (result.superfluous.iter())
                 .fold(String::new(), |end, id| end + "; " + id + " is superfluous now");
-            format!("{name} is there with {likely}{rivals}; with it {fall}{superfluous}")
+            format!("{name} has a probability of {likely}{rivals}; with it {fall}{superfluous}")
         }
         ChangeFinding::NotThere { beside, would_show } => {
-            let beside = listed(" beside what these runs ask for (", beside, ", ", ")");
+            let beside = listed(" besides what these runs need (", beside, ", ", ")");
             let unseen = if *would_show { "" } else { "; these runs would not show it" };
-            format!("{name} is there with {likely} only{beside}{unseen}; with it alone {fall}")
+            format!(
+                "{name} has a probability of {likely} only{beside}{unseen}; with it alone {fall}"
+            )
         }
     }
 }
@@ -71,7 +74,7 @@ fn fall(result: &AddResult) -> String {
     format!("the held-out error {word} by {by:.1} %, from {from:.2} to {to:.2} {times}")
 }
 
-/// The change under each processing of a balance of torques; nothing of a free run.
+/// The change under each processing of a torque balance; nothing for a free run.
 fn both_processings(sides: [&Comparison; 2]) -> String {
     let [before, after] = sides.map(|side| {
         let torque = side.signals.torque_n_m.iter();
@@ -96,23 +99,23 @@ fn both_processings(sides: [&Comparison; 2]) -> String {
     words.collect()
 }
 
-/// What the values and ± of a model with effects are from.
+/// The method of the values and ± of a model with effects.
 pub fn along(found: &AlongFinding) -> String {
     let not_followed = |why: &str| {
         format!(
-            "the model cannot be followed along the run{why}: ± counts noise alone, and nothing of what the forms of its \
-             effects may be wrong by"
+            "the model cannot be linearised along the run{why}: ± contains the noise alone, not the errors in the forms of its \
+            effects"
         )
     };
     match found {
         AlongFinding::PredictionErrors => {
-            "the model has effects: values and ± are from its prediction errors, as those of add and diagnose, and count what \
-             the forms of the effects and the stamps may be wrong by"
+            "the model has effects: values and ± are from its prediction errors, as in add and diagnose; ± includes errors in the \
+            forms of the effects and in the time stamps"
                 .to_owned()
         }
         AlongFinding::FreeRun => {
-            "the model has effects: the values are of its free run, which those of its prediction errors do not foretell; ± \
-             counts how far the two lie apart, and what the forms of the effects and the stamps may be wrong by"
+            "the model has effects: the values are from its free run, and differ from those of its prediction errors; ± includes \
+            this difference, and errors in the forms of the effects and in the time stamps"
                 .to_owned()
         }
         AlongFinding::NotFollowed => not_followed(""),

@@ -1,4 +1,4 @@
-//! The answer of a diagnosis in one sentence, and what the confirming run shows of it.
+//! The result of a diagnosis in one sentence, and its confirmation on another run.
 
 use super::candidate::happening;
 use super::limits::trivial;
@@ -13,7 +13,7 @@ use drivebench_model::plant::effect;
 use drivebench_model::text::number::probability;
 use std::fmt::Write as _;
 
-/// Effects that are named one by one where these runs would not show them.
+/// Most effects that are listed by name where these runs would not show them.
 const FEW: usize = 4;
 
 /// The answer in a word or two.
@@ -38,18 +38,18 @@ pub fn diagnosis(found: &Diagnosis) -> String {
     format!("{begin}{rest}")
 }
 
-/// The same behind the name of the answer.
+/// The same without the name of the answer.
 pub fn after_name(found: &Diagnosis) -> String {
     parts(found).1
 }
 
-/// What the name of the answer stands for, and the rest of the sentence.
+/// The begin of the sentence for this answer, and its rest.
 fn parts(found: &Diagnosis) -> (&'static str, String) {
     let (begin, mut rest) = body(found);
     for id in &found.superfluous {
         let _ = write!(rest, "; {id} is superfluous now");
     }
-    (begin, rest + &not_told(&found.added_rivals))
+    (begin, rest + &not_distinguished(&found.added_rivals))
 }
 
 fn body(found: &Diagnosis) -> (&'static str, String) {
@@ -68,11 +68,11 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
     };
     let rest = match found.verdict {
         DiagnosisVerdict::None if found.noise_floor_from == FloorSource::None => {
-            let missing = "without a noise floor it cannot be said whether anything is missing";
+            let missing = "without a noise floor it is not known whether an effect is missing";
             let nothing = if found.search_was_cut {
-                format!("nothing that was found pays on the hold-out; {cut}, and {missing}")
+                format!("no effect that was found lowers the held-out error; {cut}, and {missing}")
             } else {
-                format!("nothing in the catalogue pays on the hold-out; {missing}")
+                format!("no effect of the catalogue lowers the held-out error; {missing}")
             };
             return ("", nothing);
         }
@@ -87,13 +87,13 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
         }
         DiagnosisVerdict::None if !found.sufficient => {
             let nothing =
-                "this run would not show any effect of the catalogue: nothing can be said";
+                "this run would not show any effect of the catalogue: no conclusion is possible";
             return ("", nothing.to_owned());
         }
         DiagnosisVerdict::None => format!("held-out error {before:.2} {times}{}", unseen(found)),
         DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous if found.has_no_error() => format!(
-            "held-out error {before:.2} {times}; likely there all the same: {names} ({before:.2} -> {after:.2}){}{}",
-            not_told(&found.confusable),
+            "held-out error {before:.2} {times}; still likely: {names} ({before:.2} -> {after:.2}){}{}",
+            not_distinguished(&found.confusable),
             unconfirmed(found)
         ),
         DiagnosisVerdict::Unexplained => {
@@ -115,23 +115,27 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
             )
         }
         DiagnosisVerdict::NotFitted => format!(
-            "{}; a model that predicts no better shows nothing by what it leaves: no effect is named and none is ruled out",
+            "{}; the residual of such a model is no evidence: no effect is named and none is ruled out",
             found.reason.as_ref().map_or_else(String::new, trivial)
         ),
         DiagnosisVerdict::Ambiguous => {
-            format!("behaves like {names}{}{}", not_told(&found.confusable), unconfirmed(found))
+            format!(
+                "behaves like {names}{}{}",
+                not_distinguished(&found.confusable),
+                unconfirmed(found)
+            )
         }
         DiagnosisVerdict::Effect => format!(
             "{names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}",
             found.explained_percent,
-            not_told(&found.confusable),
+            not_distinguished(&found.confusable),
             unconfirmed(found)
         ),
     };
     (begin, rest)
 }
 
-/// The effects of an answer, each with the moment at which it happened where it did so once.
+/// The effects of a diagnosis, each with its time if it is an event.
 fn names(found: &Diagnosis) -> String {
     let when = |id: &str| {
         let candidate = found.candidates.iter().find(|candidate| candidate.effect == id)?;
@@ -144,8 +148,8 @@ fn names(found: &Diagnosis) -> String {
     found.effects.iter().map(named).collect::<Vec<_>>().join(" and ")
 }
 
-/// Effects of an answer that may as well be others, each with all that it may be instead.
-fn not_told(confusable: &[[&'static str; 2]]) -> String {
+/// Effects of a diagnosis that may as well be others, each with its rivals.
+fn not_distinguished(confusable: &[[&'static str; 2]]) -> String {
     let mut each: Vec<(&str, Vec<&str>)> = Vec::new();
     for [id, rival] in confusable {
         match each.iter_mut().find(|(known, _)| known == id) {
@@ -164,21 +168,17 @@ fn not_told(confusable: &[[&'static str; 2]]) -> String {
         few => format!("{id} from {}", few.join(", ")),
     });
     let words: Vec<String> = words.collect();
-    format!("; this run cannot tell {}", words.join(" nor "))
+    format!("; this run does not distinguish {}", words.join(" nor "))
 }
 
 fn unconfirmed(found: &Diagnosis) -> &'static str {
-    if found.is_refuted() {
-        "; NOT confirmed on the run that had no part in the answer"
-    } else {
-        ""
-    }
+    if found.is_refuted() { "; NOT confirmed on the confirming run" } else { "" }
 }
 
-/// Effects beside "nothing is missing" of which that is not known.
+/// Effects for which "nothing is missing" is not known.
 fn unseen(found: &Diagnosis) -> String {
     let with = |status: Status| found.candidates.iter().filter(move |own| own.status == status);
-    // What is likelier there than not and has no name was put to a refit, which did not find it.
+    // An effect with a probability above 50 % that is not named was not confirmed by a refit.
     let (refuted, possible): (Vec<&Candidate>, Vec<&Candidate>) =
         with(Status::Possible).partition(|own| own.is_not_borne_out());
     let possible = possible.into_iter();
@@ -190,7 +190,7 @@ fn unseen(found: &Diagnosis) -> String {
     }
     if !refuted.is_empty() {
         let names: Vec<&str> = refuted.iter().map(|own| own.effect).collect();
-        text += "; not borne out by a refit: ";
+        text += "; not confirmed by a refit: ";
         text += &names.join(", ");
     }
     let unseen: Vec<&str> = with(Status::NotExcited).map(|own| own.effect).collect();
@@ -202,7 +202,7 @@ fn unseen(found: &Diagnosis) -> String {
     text + "; not shown: " + &names
 }
 
-/// How much of the error is different each time where a machine does not repeat, and what it follows.
+/// The share of the error that differs from run to run where a machine does not repeat, and what it follows.
 fn not_repeating(found: &Diagnosis) -> String {
     let Some(floor) = found.repeat_floor.filter(|_| found.repeats == Some(false)) else {
         return String::new();
@@ -210,8 +210,8 @@ fn not_repeating(found: &Diagnosis) -> String {
     let share = (floor * floor - 1.0) / (found.holdout_before.powi(2) - 1.0);
     let percent = 100.0 * share.clamp(0.0, 1.0);
     let follows = found.repeat_follows.first().map_or_else(
-        || "what differs follows neither speed, current, angle nor time".to_owned(),
-        |first| format!("of what differs, {}", location(first)),
+        || "the difference follows neither speed, current, angle nor time".to_owned(),
+        |first| format!("of the difference, {}", location(first)),
     );
     format!(
         "; this machine does not repeat: {percent:.0} % of the error is different each time (two runs of the same excitation \
@@ -230,14 +230,14 @@ pub fn unknown(part: &Unknown) -> String {
     format!("{percent:.0} % of the error: an unknown {} that follows {axis}", part.equation)
 }
 
-/// What the run shows that had no part in the answer.
+/// What the confirming run shows.
 pub fn confirmation(found: &Diagnosis, confirm: &Confirmation) -> String {
     let times = times(found.noise_floor_from);
     let before = confirm.error_before.unwrap_or(f64::NAN);
     let finding = match &confirm.finding {
         ConfirmationFinding::Effects { explains_it } => format!(
             "there {} takes the error from {before:.2} to {:.2} {times} and explains {:.0} % of what can be explained \
-             (z {:.1}, {CONFIRMED_SIGMAS} is asked){}",
+             (z {:.1}, {CONFIRMED_SIGMAS} is needed){}",
             found.effects.join(" and "),
             confirm.error_after.unwrap_or(f64::NAN),
             confirm.explained_percent.unwrap_or(f64::NAN),
@@ -245,7 +245,7 @@ pub fn confirmation(found: &Diagnosis, confirm: &Confirmation) -> String {
             if *explains_it { "" } else { "; what is left there is more than noise" }
         ),
         ConfirmationFinding::NoNoiseFloor => format!(
-            "the error there is {before:.2} {times}, and without a noise floor nobody knows how large it may be"
+            "the error there is {before:.2} {times}, and without a noise floor its allowed size is not known"
         ),
         ConfirmationFinding::AtTheFloorToo | ConfirmationFinding::UnexplainedToo => {
             format!("the error is {before:.2} {times} there too")
@@ -268,7 +268,7 @@ pub fn confirmation(found: &Diagnosis, confirm: &Confirmation) -> String {
         Some(false) => "NOT confirmed",
         None => "neither confirmed nor refuted",
     };
-    format!("{word} on the run that had no part in the answer: {finding}")
+    format!("{word} on the confirming run: {finding}")
 }
 
 #[cfg(test)]
@@ -285,12 +285,12 @@ mod tests {
             ["quadratic_load", "constant_load"],
         ];
         assert_eq!(
-            not_told(&pairs),
-            "; this run cannot tell quadratic_load from load_step, constant_load nor viscous_friction from load_step"
+            not_distinguished(&pairs),
+            "; this run does not distinguish quadratic_load from load_step, constant_load nor viscous_friction from load_step"
         );
         let many = ["a", "b", "c", "d", "e"].map(|rival| ["cogging", rival]);
-        let told = "; this run cannot tell cogging from a, b and 3 others";
-        assert_eq!(not_told(&many), told);
+        let text = "; this run does not distinguish cogging from a, b and 3 others";
+        assert_eq!(not_distinguished(&many), text);
     }
 
     #[test]
@@ -319,7 +319,7 @@ mod tests {
             ),
             (
                 with(&|found| (found.holdout_before, found.holdout_after) = (0.95, 0.72)),
-                "no error left to explain: held-out error 0.95 times the noise floor; likely there all the same: stribeck",
+                "no error left to explain: held-out error 0.95 times the noise floor; still likely: stribeck",
                 "(0.95 -> 0.72)",
             ),
             (

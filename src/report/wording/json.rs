@@ -1,4 +1,4 @@
-//! Results as JSON: what the core gives of them, with a sentence beside each code.
+//! Results as JSON: their own form, with a sentence for each code.
 
 use serde::{Serialize, Serializer};
 use serde_json::Value;
@@ -13,7 +13,7 @@ use drivebench_identify::drift::Drift;
 use drivebench_identify::nameplate::Comparison as Nameplate;
 use drivebench_link::ProbeReport;
 
-/// The core's own form; what has none is empty.
+/// The form by its own serialiser.
 fn own(found: &impl Serialize) -> Value {
     serde_json::to_value(found).unwrap_or_default()
 }

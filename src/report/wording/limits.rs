@@ -1,4 +1,4 @@
-//! What runs cannot answer.
+//! Limits of what runs can show.
 
 use drivebench_diagnose::{
     Limit, LongRun, RepeatUnknown, SearchedPart, SetAside, TrivialPrediction, Unjudged, WhyOpen,
@@ -16,18 +16,18 @@ pub fn limit(limit: &Limit) -> String {
             };
             let why = unjudged(why);
             format!(
-                "the {signal} ({key}) has no part in the judgement: {why}; errors, verdict and sizes rest on the {other} \
-                 alone, and what shows only in the {signal} would not be seen"
+                "the {signal} ({key}) is not used: {why}; errors, verdict and sizes depend on the {other} alone, and an effect that \
+                shows only in the {signal} is not detected"
             )
         }
         Limit::PartSearched { parts, rest_confirms } => {
             let parts: Vec<String> = parts.iter().map(searched).collect();
             let rest =
-                if *rest_confirms { "; what comes behind them is the confirming run" } else { "" };
+                if *rest_confirms { "; the part after them is the confirming run" } else { "" };
             parts.join("; ") + rest
         }
         Limit::TorqueBalance { derivation: of } => {
-            format!("errors are those of the balance of torques ({})", derivation(of))
+            format!("errors are those of the torque balance ({})", derivation(of))
         }
         Limit::LostRows { expected, most, highest } => format!(
             "the commands in the rows that the hold-out lacks are unknown: they alone cause an error of about {expected:.1} times \
@@ -37,7 +37,7 @@ pub fn limit(limit: &Limit) -> String {
         Limit::NothingRuledOut(why) => format!("nothing is ruled out: {}", why_open(*why)),
         Limit::RepeatUnknown(why) => {
             let why: &str = match why {
-                RepeatUnknown::NotFollowed => "the model cannot be followed on both runs",
+                RepeatUnknown::NotFollowed => "the model cannot be linearised along both runs",
                 RepeatUnknown::RowsLost => "too many rows were lost",
                 RepeatUnknown::Failed(message) => message,
             };
@@ -45,32 +45,32 @@ pub fn limit(limit: &Limit) -> String {
         }
         Limit::NoNoiseFloor => {
             "the run does not begin with a standstill at zero input (20 samples are needed): no noise floor is known, so \
-             that an error cannot be told from noise; errors are shown beside the drive instead"
+             that an error cannot be distinguished from noise; errors are shown relative to the voltage or driving torque instead"
                 .to_owned()
         }
         Limit::NoOtherRun { share } => format!(
-            "no other run is held out: the {} of the run are, which share its day and its excitation",
+            "no other run is held out: the {} of the run are, with the same day and excitation",
             last_part(*share)
         ),
         Limit::NotMeasured { signal } => format!(
-            "no {signal} was measured: what the voltage equation and what the torque equation lacks cannot be told apart"
+            "no {signal} was measured: errors of the voltage equation and of the torque equation cannot be separated"
         ),
         Limit::FewWindows { equation, usable, needed, length_s } => format!(
-            "{equation} equation: {usable} usable windows of {:.0} ms, at least {needed} are needed to say where it fails: \
+            "{equation} equation: {usable} usable windows of {:.0} ms, at least {needed} are needed to locate its error: \
              record a longer run{}",
             1e3 * length_s,
             if *equation == "torque" { " in which the shaft turns" } else { "" }
         ),
         Limit::NoAngle => {
             "no angle was measured: it is integrated from the speed and drifts, so that an error that follows the angle \
-             may go unseen"
+             may not be detected"
                 .to_owned()
         }
     }
 }
 
 /// Of a hold-out in which neither speed nor current changes.
-pub(super) const HOLDOUT_STILL: &str = "what is held out stands still or runs steadily";
+pub(super) const HOLDOUT_STILL: &str = "the held-out part stands still or runs steadily";
 
 /// The part of a run that is held out.
 pub fn last_part(share: f64) -> String {
@@ -79,8 +79,8 @@ pub fn last_part(share: f64) -> String {
 
 pub fn set_aside(aside: &SetAside) -> String {
     format!(
-        "{} {} set aside: {} happens once in a run or counts from its first command, and runs that are fitted behind each \
-         other cannot hold it; the answer is of {} without what was made after it, which has to be judged by itself",
+        "{} {} set aside: {} happens once in a run or counts from its first command, and has no common fit to several runs; the \
+        diagnosis is of {} without the later runs, which have to be diagnosed separately",
         aside.later.join(" and "),
         if aside.later.len() > 1 { "are" } else { "is" },
         aside.effects.join(" and "),
@@ -99,7 +99,7 @@ fn unjudged(why: &Unjudged) -> String {
         Unjudged::FewRepeated { needed } => format!(
             "its noise is not known, because the repeated runs have fewer than {needed} samples of it at the same instants"
         ),
-        Unjudged::NothingLeft => "the fitted baseline leaves nothing of it".to_owned(),
+        Unjudged::NothingLeft => "the fitted baseline has no residual in it".to_owned(),
     }
 }
 
@@ -113,7 +113,7 @@ fn searched(part: &SearchedPart) -> String {
         LongRun::Named(name) => name,
     };
     let origin = if *from_s > 0.0 {
-        format!(", and what is said to happen at a time happens {from_s:.2} s later in it")
+        format!("; times of events count from {from_s:.2} s of it")
     } else {
         String::new()
     };
@@ -133,7 +133,7 @@ pub(super) const fn why_open(why: WhyOpen) -> &'static str {
     }
 }
 
-/// How the rows of a balance of torques came about.
+/// How the rows of a torque balance are computed.
 pub fn derivation(of: &Derivation) -> String {
     match of {
         Derivation::WeakForm { window_s, dead_zone_rad_s } => format!(
@@ -151,15 +151,15 @@ pub fn derivation(of: &Derivation) -> String {
 pub fn trivial(found: &TrivialPrediction) -> String {
     match found {
         TrivialPrediction::Mean { signal, unit, error, own } => format!(
-            "the fitted model leaves {own:.3} {unit} of the {signal} of the hold-out, the mean of it {error:.3} {unit}"
+            "the fitted model has an error of {own:.3} {unit} in the {signal} of the hold-out, its mean value one of {error:.3} {unit}"
         ),
         TrivialPrediction::LastValue { signal, unit, error, own } => format!(
-            "the fitted model leaves {own:.3} {unit} of the {signal} of the hold-out, the last value of the fitted part \
-             {error:.3} {unit}"
+            "the fitted model has an error of {own:.3} {unit} in the {signal} of the hold-out, the last value of the fitted part one \
+            of {error:.3} {unit}"
         ),
         TrivialPrediction::Lag { error, own, gain_rad_s_per_v, time_constant_s } => format!(
-            "the fitted model leaves {own:.3} rad/s of the speed of the hold-out, a first-order lag of \
-             {gain_rad_s_per_v:.3} rad/s/V and {time_constant_s:.3} s leaves {error:.3} rad/s"
+            "the fitted model has an error of {own:.3} rad/s in the speed of the hold-out, a first-order lag of \
+            {gain_rad_s_per_v:.3} rad/s/V and {time_constant_s:.3} s one of {error:.3} rad/s"
         ),
     }
 }

@@ -1,4 +1,4 @@
-//! Where a model fails: equations, places along a variable, curves.
+//! Where a model fails: equations, ranges of a variable, curves.
 
 use std::fmt::{Display, Write as _};
 
@@ -11,10 +11,7 @@ use drivebench_model::plant::MotorKey;
 use drivebench_model::plant::effect::Axis;
 use drivebench_model::text::number::{share, shortest, significant};
 
-/// Fall of an equation's error, in multiples of its noise, from which on the free values are told.
-const WORTH_SAYING_NRES: f64 = 0.1;
-
-/// Three digits are what such a place or size carries.
+/// A place or size has three significant digits.
 fn figure(value: f64) -> String {
     shortest(value, 3)
 }
@@ -44,16 +41,16 @@ fn unit_of(equation: &str) -> &'static str {
 
 /// A place where an equation fails.
 pub fn location(found: &FailureLocation) -> String {
-    let says = |of_error: f64, what: &dyn Display| {
+    let sentence = |of_error: f64, what: &dyn Display| {
         format!("{} of the {} error {what}", share(of_error), found.equation)
     };
-    let follows = |what: String| says(found.follows, &what);
+    let follows = |what: String| sentence(found.follows, &what);
     let (name, _) = name_and_unit(found.variable);
     let unit = unit_of(found.equation);
     let lies = |place: String, either_way: bool| {
         let either = if either_way { " in either direction" } else { "" };
         let time = share(found.share_of_time);
-        says(found.share_of_error, &format!("lies {place}{either} ({time} of the time)"))
+        sentence(found.share_of_error, &format!("lies {place}{either} ({time} of the time)"))
     };
     let [from, to] = match found.form {
         ErrorForm::Below { begin_s, .. }
@@ -78,7 +75,7 @@ pub fn location(found: &FailureLocation) -> String {
             follows(format!("follows the {name}, over {range}"))
         }
         ErrorForm::ModelValue { key, by, own } => follows(format!(
-            "follows the {name}, as {} {} too {} in the model would make it ({} {})",
+            "follows the {name}, as with a {} that is {} too {} in the model ({} {})",
             key.name(),
             share((by / own).abs()),
             if by > 0.0 { "low" } else { "high" },
@@ -86,14 +83,14 @@ pub fn location(found: &FailureLocation) -> String {
             key.unit(),
         )),
         ErrorForm::WindowValue { key, by, own } => follows(format!(
-            "follows the {name}: short windows ask for {} {} {}, the fit to the whole run has {}",
+            "follows the {name}: short windows give {} {} {}, the fit to the whole run has {}",
             key.name(),
             figure(own + by),
             key.unit(),
             figure(own)
         )),
         ErrorForm::ValueBeside { key, by } => follows(format!(
-            "follows the {name}, as {} {} {} beside the model's would make it",
+            "follows the {name}, as with a further {} of {} {}",
             key.name(),
             figure(by),
             key.unit()
@@ -120,7 +117,7 @@ pub fn location(found: &FailureLocation) -> String {
             follows(format!("is a line at {middle} Hz, with {} {unit}", figure(amplitude)))
         }
         ErrorForm::ResistanceDrift { by_ohm } => follows(format!(
-            "follows the time, as a resistance that moves by {by_ohm:+.3} ohm from begin to end would"
+            "follows the time, as with a resistance that changes by {by_ohm:+.3} ohm from begin to end"
         )),
         ErrorForm::Offset { by } => follows(format!(
             "is the same everywhere: {} {unit} are missing in the model",
@@ -134,7 +131,7 @@ pub fn location(found: &FailureLocation) -> String {
     }
 }
 
-/// What an equation lacks, and the first of the places where it fails.
+/// The error of an equation, and the first of the places where it fails.
 pub fn balance(balance: &EquationBalance, locations: &[FailureLocation]) -> String {
     let name = balance.equation;
     let size = match balance.nres {
@@ -146,8 +143,8 @@ pub fn balance(balance: &EquationBalance, locations: &[FailureLocation]) -> Stri
         ),
     };
     let moved = match (balance.refitted, balance.nres, balance.nres_refitted) {
-        (true, Some(before), Some(after)) if before - after > WORTH_SAYING_NRES => {
-            format!(", {after:.2} times where {} may move", largest_change(balance))
+        (true, Some(before), Some(after)) if before - after > 0.1 => {
+            format!(", {after:.2} times with its values free{}", largest_change(balance))
         }
         _ => String::new(),
     };
@@ -167,20 +164,20 @@ pub fn balance(balance: &EquationBalance, locations: &[FailureLocation]) -> Stri
     }
 }
 
-/// The parameter that is farthest off, with its move.
+/// The parameter with the largest change.
 fn largest_change(balance: &EquationBalance) -> String {
     let changes = balance.own_changes.iter();
     let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
     largest.map_or_else(String::new, |change| {
         let name = MotorKey::from_key(change.key).map_or("a value", MotorKey::name);
-        format!("its values (the {name} by {:+.1} %)", 100.0 * change.share)
+        format!(" (the {name} by {:+.1} %)", 100.0 * change.share)
     })
 }
 
 pub fn undecided(found: &Undecided) -> String {
     match found {
         Undecided::Equations { equations: [worse, other] } => format!(
-            "the {worse} and the {other} equation fail alike: which of them lacks something these runs do not tell"
+            "the {worse} and the {other} equation fail equally: these runs do not decide which of them is incomplete"
         ),
         Undecided::Variables { equation, variables, follows } => {
             let [first, second] = variables.map(|variable| match name_and_unit(variable).0 {
@@ -189,8 +186,8 @@ pub fn undecided(found: &Undecided) -> String {
             });
             let [of_first, of_second] = follows.map(|follows| 100.0 * follows);
             format!(
-                "the {equation} error {first} and {second} alike ({of_first:.0} and {of_second:.0} %): which of them these \
-                 runs do not tell"
+                "the {equation} error {first} and {second} equally ({of_first:.0} and {of_second:.0} %): these runs do not decide \
+                between them"
             )
         }
     }
@@ -204,7 +201,7 @@ pub fn failure(comparison: &Comparison) -> String {
         Where::NotFitted => {
             "not known: the model follows the run no better than a trivial prediction"
         }
-        Where::NoBalance => "these runs do not tell where it fails",
+        Where::NoBalance => "not known: these runs do not show where it fails",
         Where::AlongNothing => {
             "an equation fails, and its error follows no speed, current, angle or time"
         }
@@ -212,27 +209,30 @@ pub fn failure(comparison: &Comparison) -> String {
             "not known: the errors follow none of the variables examined, and no noise is known"
         }
         Where::OverTheWholeRun => {
-            "no equation fails beyond its noise in short windows, yet more than noise is left over the whole run: too little at \
-             any one place, or too slow, to say where"
+            "no equation fails beyond its noise in short windows, but more than noise is left over the whole run: too small or too \
+            slow to be located"
         }
         Where::Nowhere => "nowhere: no equation fails beyond its noise",
     };
     words.to_owned()
 }
 
-/// What an error does along an axis.
+/// The error over an axis.
 pub fn axis_map(map: &AxisMap) -> String {
     let what = map.equation;
-    let along = |integrated: bool| {
+    let axis_text = |integrated: bool| {
         if integrated { "angle, integrated from the speed" } else { name_and_unit(map.axis).0 }
     };
     match map.finding {
         AxisFinding::NotFollowed { integrated } => {
-            format!("the {what} error does not follow the {}", along(integrated))
+            format!("the {what} error does not follow the {}", axis_text(integrated))
         }
         AxisFinding::Followed { integrated } => {
-            let mut text =
-                format!("{} of the {what} error follows the {}", share(map.r2), along(integrated));
+            let mut text = format!(
+                "{} of the {what} error follows the {}",
+                share(map.r2),
+                axis_text(integrated)
+            );
             if let Some((place, height)) = map.largest() {
                 // The knots of a time count from the begin of the run already.
                 let across = match map.axis {
@@ -266,7 +266,7 @@ pub fn axis_map(map: &AxisMap) -> String {
 
 /// What the values of a curve are, with their unit.
 pub fn curve_title(curve: &EffectCurve) -> String {
-    format!("what the {} equation lacks, {}", curve.equation, curve.unit)
+    format!("error of the {} equation, {}", curve.equation, curve.unit)
 }
 
 /// The axis of a curve.
@@ -301,17 +301,17 @@ pub fn curve(curve: &EffectCurve) -> String {
     }
 }
 
-/// Why a curve is drawn along its axis, where the effect has none of its own.
+/// Why a curve is drawn over its axis, where the effect has none of its own.
 pub fn why_axis(curve: &EffectCurve) -> Option<String> {
     let (axis, _) = name_and_unit(curve.axis);
     Some(match (curve.why_axis.as_ref()?, curve.effect) {
         (AxisReason::Map(map), _) => axis_map(map),
         (AxisReason::Share(followed), Some(effect)) => format!(
-            "{effect} is no curve over one axis: drawn along the {axis}, which {} of what it does follows",
+            "{effect} is no function of one variable: drawn over the {axis}, which explains {} of it",
             share(*followed)
         ),
         (AxisReason::Share(followed), None) => format!(
-            "no effect is drawn: the error along the {axis}, which {} of it follows",
+            "no effect is drawn: the error over the {axis}, which explains {} of it",
             share(*followed)
         ),
     })

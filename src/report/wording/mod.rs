@@ -1,8 +1,8 @@
-//! Sentences about findings. The core gives codes with numbers; here, and only here, they become words.
+//! Sentences about findings. The crates give codes with numbers; here, and only here, they become text.
 //!
 //! ```text
 //! finding (enum with numbers) --> diagnosis, candidate, location, residual, ... --> sentence: card, page, screen
-//!                             '-> json: the core's own form, with the sentence beside the code
+//!                             '-> json: its own form, with the sentence for the code
 //! ```
 
 pub mod candidate;
@@ -23,7 +23,7 @@ use drivebench_identify::balance::Derivation;
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::{drift as drifts, nameplate as plates};
 
-/// What is written behind a multiple of the noise: without a floor none may be claimed.
+/// The unit of a multiple of the noise; without a noise floor, of the baseline's residual.
 pub const fn times(source: FloorSource) -> &'static str {
     match source {
         FloorSource::Standstill | FloorSource::Repeat => "times the noise floor",

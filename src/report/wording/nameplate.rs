@@ -1,4 +1,4 @@
-//! The nameplate beside the motor that was identified.
+//! The nameplate compared with the identified motor.
 
 use drivebench_identify::nameplate::{
     Comparison, NameplateCause, NameplateDoubt, NameplateFinding, Row, RowFinding,
@@ -33,11 +33,11 @@ pub fn doubt(found: &NameplateDoubt) -> String {
     }
 }
 
-/// One key of the nameplate beside what was found.
+/// One key of the nameplate with the value that was found.
 pub fn row(row: &Row) -> String {
     let (name, unit) = (row.key, row.unit);
     let found = || with_std(row.found.unwrap_or(f64::NAN), row.std);
-    let plate = || significant(row.nameplate.unwrap_or(f64::NAN), 4);
+    let given = || significant(row.nameplate.unwrap_or(f64::NAN), 4);
     let finding = row.finding();
     match finding {
         RowFinding::Fits | RowFinding::Differs | RowFinding::NotJudged => {
@@ -47,11 +47,11 @@ pub fn row(row: &Row) -> String {
                 ratio => format!(": {:+.0} %", 100.0 * (ratio - 1.0)),
             });
             let misfit = if finding == RowFinding::Differs { ", does not fit" } else { "" };
-            format!("{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}", found(), plate())
+            format!("{name}: found {} {unit}, nameplate {} {unit}{times}{misfit}", found(), given())
         }
         RowFinding::NotIdentified => format!(
             "{name}: nameplate {} {unit}, not identified ({})",
-            plate(),
+            given(),
             row.reason.as_deref().unwrap_or("not estimated")
         ),
         RowFinding::NotOnNameplate => {

@@ -1,4 +1,4 @@
-//! The run that would tell what these runs cannot.
+//! The recommended run.
 
 use drivebench_diagnose::{FasterRun, Hidden, HiddenReason, NextExperiment, Recommendation};
 use drivebench_model::plant::effect;
@@ -34,14 +34,15 @@ pub fn next_run(next: &NextExperiment) -> String {
 /// Pairs of rivals with their separations in this run.
 fn pairs(next: &NextExperiment) -> String {
     let mut parts = Vec::new();
-    let (told, hidden): (Vec<_>, Vec<_>) = next.pairs.iter().partition(|pair| pair.is_told());
-    if let Some(first) = told.first() {
-        let rivals = told.iter().map(|told| {
-            let [a, b] = told.pair.map(name);
-            format!("{a} from {b} (separation {})", figure(told.expected_separation))
+    let (distinguished, hidden): (Vec<_>, Vec<_>) =
+        next.pairs.iter().partition(|pair| pair.is_told());
+    if let Some(first) = distinguished.first() {
+        let rivals = distinguished.iter().map(|distinguished| {
+            let [a, b] = distinguished.pair.map(name);
+            format!("{a} from {b} (separation {})", figure(distinguished.expected_separation))
         });
         parts.push(format!(
-            "run {}: it tells {}; {} would do",
+            "run {}: it distinguishes {}; {} is sufficient",
             described(next),
             rivals.collect::<Vec<_>>().join(" and "),
             figure(first.needed)
@@ -65,7 +66,7 @@ fn pairs(next: &NextExperiment) -> String {
 
 fn with_faster(faster: &FasterRun) -> String {
     format!(
-        "; with limits.slew_v_per_s = {} in the bench file, {} would (separation {})",
+        "; with limits.slew_v_per_s = {} in the bench file, {} is sufficient (separation {})",
         faster.slew_v_per_s,
         program(faster.program),
         figure(faster.separation)
@@ -87,7 +88,7 @@ fn described(next: &NextExperiment) -> String {
     )
 }
 
-/// What would show an effect that the recommended run does not.
+/// What is needed to show an effect that the recommended run does not show.
 pub fn hidden_reason(hidden: &Hidden) -> String {
     match hidden.reason {
         HiddenReason::AnotherRun => "another run after it shows it".to_owned(),
@@ -127,7 +128,7 @@ fn name(id: &'static str) -> &'static str {
     effect::find(id).map_or(id, |effect| effect.card().name)
 }
 
-/// Two figures are all that a prediction deserves.
+/// A prediction has two significant digits.
 fn figure(value: f64) -> String {
     significant(value, 2)
 }
@@ -151,12 +152,12 @@ mod tests {
         let pair = next.pairs[0].clone();
         let run = "run a slow ramp over the full range, through zero (10.0 s, up to 100 V, 6.0 A and 290 rad/s)";
         let text = next_run(&next);
-        assert!(text.starts_with(run) && text.ends_with("; 612 would do"), "{text}");
+        assert!(text.starts_with(run) && text.ends_with("; 612 is sufficient"), "{text}");
         let faster = FasterRun { slew_v_per_s: 400.0, program: "fast_dither", separation: 700.0 };
         next.finding = Recommendation::CannotTellApart { faster: Some(faster) };
         next.pairs = vec![PairEntry { expected_separation: 10.0, best_separation: 10.0, ..pair }];
         let text = next_run(&next);
-        let end = "with limits.slew_v_per_s = 400 in the bench file, a fast dither about zero volts would (separation 700)";
+        let end = "with limits.slew_v_per_s = 400 in the bench file, a fast dither about zero volts is sufficient (separation 700)";
         assert!(text.starts_with("no run of this kind") && text.ends_with(end), "{text}");
         let reason = HiddenReason::Slew { v_per_s: 150.0 };
         next.hidden = vec![Hidden { effect: "cogging", reason }];

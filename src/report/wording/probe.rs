@@ -12,7 +12,7 @@ pub fn probe(report: &ProbeReport) -> String {
     }
 }
 
-/// The same where the name of the profile stands before it already.
+/// The same without the name of the profile.
 pub fn after_name(report: &ProbeReport) -> String {
     match &report.finding {
         ProbeFinding::OtherIdentity { check, found } => format!("{check} (found {found})"),

@@ -1,16 +1,16 @@
-//! What is left in the residual.
+//! The tests of the residual.
 
 use drivebench_diagnose::{ResidualLights, SignalLights};
 use drivebench_model::text::number::share;
 
-/// What a residual is held against, in the order of its lights.
+/// The signals with which a residual is correlated, in the order of its tests.
 const AGAINST: [&str; 4] =
     ["its own past", "the input", "the input squared", "the input squared, itself squared"];
 
 /// What the two tests show: whiteness, and independence of the input.
 pub fn residual(lights: &ResidualLights) -> String {
     if !lights.enough_samples {
-        return "too few samples to say whether only noise is left".to_owned();
+        return "too few samples to test whether only noise is left".to_owned();
     }
     let outside = share(lights.autocorrelation_outside_99_percent);
     let band = "of the autocorrelation lags lie outside their 99 % band";
@@ -39,7 +39,7 @@ pub fn residual(lights: &ResidualLights) -> String {
     }
 }
 
-/// Share of the lags at which a residual is correlated with the input, the worst of the lights that say so.
+/// Share of the lags at which a residual is correlated with the input, the worst of the tests that fail.
 fn outside_with_input(lights: &ResidualLights) -> f64 {
     let of_signal = |(_, own): (_, SignalLights)| [own.rho_ue, own.rho_u2e, own.rho_u2e2];
     let red = lights.named().flat_map(of_signal).filter(|light| !light.passes);
@@ -49,15 +49,17 @@ fn outside_with_input(lights: &ResidualLights) -> f64 {
 /// What each signal's residual is correlated with; nothing where only noise is left.
 pub fn details(lights: &ResidualLights) -> Vec<String> {
     let each = lights.named().filter(|_| lights.enough_samples);
-    let told = each.filter_map(|(name, lights)| {
+    let sentences = each.filter_map(|(name, lights)| {
         let with = correlated_with(&lights)?;
-        Some(format!("{name} error goes with {with}; in brackets: times what chance gives"))
+        Some(format!(
+            "{name} error is correlated with {with}; in brackets: multiples of the 99 % band"
+        ))
     });
-    told.collect()
+    sentences.collect()
 }
 
-/// Each in multiples of what chance gives; none where nothing is beyond that. The light of the product of error and input is no
-/// alarm by itself.
+/// Each in multiples of its 99 % band; none where all are within it. The test of the product of error and input is not used
+/// alone.
 fn correlated_with(lights: &SignalLights) -> Option<String> {
     let each = lights.each();
     let red = AGAINST.iter().zip(&each).filter(|(_, light)| !light.passes);
@@ -76,7 +78,7 @@ mod tests {
     use drivebench_diagnose::Light;
 
     #[test]
-    fn a_residual_is_told_by_both_of_its_tests() {
+    fn a_residual_has_the_result_of_both_tests() {
         let red = Light { largest_over_band: 2.2, outside_99_percent: 0.12, passes: false };
         let green = Light { largest_over_band: 0.9, outside_99_percent: 0.0, passes: true };
         let speed = SignalLights {
@@ -112,7 +114,9 @@ mod tests {
         let details = details(&lights(true, Some(false)));
         assert_eq!(
             details,
-            ["speed error goes with the input (2.2); in brackets: times what chance gives"]
+            [
+                "speed error is correlated with the input (2.2); in brackets: multiples of the 99 % band"
+            ]
         );
     }
 }

@@ -14,7 +14,7 @@ pub fn versus(found: &Versus) -> String {
     };
     let better = |name: &str, better: f64, other: f64| {
         format!(
-            "{name} is better: {errors}, {:.0} % less, {} ({:.1} are asked for)",
+            "{name} is better: {errors}, {:.0} % less, {} ({:.1} are needed)",
             100.0 * (1.0 - better / other),
             ratio(),
             found.limit
@@ -22,11 +22,11 @@ pub fn versus(found: &Versus) -> String {
     };
     match found.finding {
         VersusFinding::TooShort => {
-            format!("the hold-out is too short to tell them apart: {errors}")
+            format!("the hold-out is too short to distinguish them: {errors}")
         }
         VersusFinding::Same => format!("both models give the same: {errors}"),
         VersusFinding::NotToldApart => format!(
-            "this run does not tell them apart: {errors}; the difference is {}, and {:.1} are asked for",
+            "this run does not distinguish them: {errors}; the difference is {}, and {:.1} are needed",
             ratio(),
             found.limit
         ),
@@ -50,10 +50,10 @@ pub fn motor_match(found: &MotorMatch) -> String {
     match found.kinship {
         Kinship::Same => format!("no sign that the two runs are of different motors: {figures}"),
         Kinship::Doubtful => format!(
-            "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer would do this too"
+            "the two runs may be of different motors: {figures}; a magnet that is some 20 K warmer has the same effect"
         ),
         Kinship::Other => format!(
-            "the two runs are not of the same motor, or not wired alike: {figures}; warmth does not explain that"
+            "the two runs are not of the same motor, or not wired equally: {figures}; a change of temperature does not explain this"
         ),
     }
 }

@@ -17,7 +17,7 @@ use drivebench_diagnose::{CurvePoint, EffectCurve, MapCell, MapDigits, Off};
 use drivebench_model::text::lines::wrapped;
 use drivebench_model::text::number::{shortest, significant, with_std};
 
-/// Error against its axis, the effect drawn through it. `index` counts what there is to be drawn; the cursor is on a point.
+/// The error over its axis, with the curve of the effect. `index` selects the curve; the cursor is on a point.
 pub(super) fn curve(
     state: &State,
     index: usize,
@@ -30,13 +30,13 @@ pub(super) fn curve(
         return;
     };
     let title = format!("{}, over {}", location::curve_title(curve), location::axis_label(curve));
-    let place =
+    let number =
         if drawn.len() > 1 { format!("{} of {}", index + 1, drawn.len()) } else { String::new() };
-    let inner = titled_with(&title, &place, area, buffer);
+    let inner = titled_with(&title, &number, area, buffer);
     let width = usize::from(inner.width);
     let most = if inner.height >= 16 { 4 } else { 1 };
     let room = width.saturating_sub(1).max(1);
-    // A map of an unexplained error has its sentence, and no figures of windows.
+    // A map of an unexplained error has a sentence, and no figures of windows.
     let figures = (!curve.is_unexplained()).then(|| location::curve(curve));
     let texts = figures.into_iter().chain(location::why_axis(curve));
     let texts = in_rows(texts.flat_map(|text| wrapped(&text, room)).collect(), most);
@@ -55,8 +55,8 @@ pub(super) fn curve(
 }
 
 fn at_cursor(curve: &EffectCurve, (at, point): (usize, &CurvePoint)) -> Line<'static> {
-    let (place, axis, unit) = (significant(point.at, 3), curve.axis_unit, curve.unit);
-    let mut text = format!(" ┊ {place} {axis}: {} {unit}", with_std(point.mean, Some(point.std)));
+    let (at_axis, axis, unit) = (significant(point.at, 3), curve.axis_unit, curve.unit);
+    let mut text = format!(" ┊ {at_axis} {axis}: {} {unit}", with_std(point.mean, Some(point.std)));
     if let Some(with) = curve.with_it.get(at) {
         let _ = write!(text, ", with it {}", with_std(with.mean, Some(with.std)));
     }
@@ -95,8 +95,8 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
     let mut lines = vec![Line::from(vec![
         Span::styled(" 1-9 model too low", shade(Off::TooLow)),
         Span::styled("  a-i too high", shade(Off::TooHigh)),
-        Span::styled("  ░▒▓ both ways", shade(Off::BothWays)),
-        Span::styled("  · never there", theme::DIM),
+        Span::styled("  ░▒▓ both signs", shade(Off::BothWays)),
+        Span::styled("  · no data", theme::DIM),
     ])];
     // Where there are fewer rows than speeds, some of them over the whole range.
     let step = speeds.len().div_ceil(room.max(1)).max(1);
@@ -106,8 +106,8 @@ pub(super) fn map(state: &State, index: usize, area: Rect, buffer: &mut Buffer) 
             let mut line = Line::from(Span::styled(label, theme::DIM));
             line.extend(cells.iter().map(|cell| {
                 let mark = cell.map_or('·', MapCell::glyph);
-                let seen = cell.filter(|cell| cell.digit > 0);
-                let style = seen.map_or(theme::DIM, |cell| shade(cell.off));
+                let is_off = cell.filter(|cell| cell.digit > 0);
+                let style = is_off.map_or(theme::DIM, |cell| shade(cell.off));
                 Span::styled(mark.to_string().repeat(cell_width), style)
             }));
             lines.push(line);

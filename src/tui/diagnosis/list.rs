@@ -7,7 +7,7 @@ use ratatui::style::Style;
 use ratatui::text::{Line, Span};
 
 use super::state::State;
-use crate::report::wording::candidate::{at_most, seen_from};
+use crate::report::wording::candidate::{at_most, detectable_from};
 use crate::tui::frame::{bar, row as render_row, rows as render_rows, titled_with};
 use crate::tui::live::parameter_name;
 use crate::tui::theme;
@@ -25,7 +25,7 @@ pub(super) struct Judged {
     pub(super) error: Option<f64>,
 }
 
-/// What a row of the list stands for.
+/// A row of the list.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Row<'a> {
     Present(&'static str),
@@ -34,7 +34,7 @@ pub(super) enum Row<'a> {
 }
 
 impl Row<'_> {
-    /// What the row is selected by.
+    /// The id by which the row is selected.
     pub(super) const fn key(&self) -> &'static str {
         match self {
             Self::Present(id) | Self::Judged(id, _) => id,
@@ -62,7 +62,7 @@ impl State {
         rows
     }
 
-    /// The place of the selected row: before the person has moved, the first that is not in the model.
+    /// The index of the selected row; at first that of the first effect that is not in the model.
     fn selected(&self, rows: &[Row<'_>]) -> Option<usize> {
         let chosen = |key| rows.iter().position(|row| row.key() == key);
         let first =
@@ -125,12 +125,12 @@ pub(super) fn candidates(state: &State, area: Rect, buffer: &mut Buffer) {
     let selected = state.selected(&rows);
     let room = room(area);
     let first = first_drawn(selected, area);
-    let place = if rows.len() <= room {
+    let range = if rows.len() <= room {
         String::new()
     } else {
         format!("{}-{} of {}", first + 1, first + room, rows.len())
     };
-    let inner = titled_with(title, &place, area, buffer);
+    let inner = titled_with(title, &range, area, buffer);
     if rows.is_empty() {
         render_row(&Line::styled(" none yet", theme::DIM), inner, buffer);
         return;
@@ -160,26 +160,26 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
             spans
         }
         Row::Candidate(candidate) => {
-            let (word, style) = status(candidate);
-            let word = if width < 70 {
-                word.chars().take(1).chain([' ']).collect()
+            let (text, style) = status(candidate);
+            let text = if width < 70 {
+                text.chars().take(1).chain([' ']).collect()
             } else {
-                format!("{word:<13} ")
+                format!("{text:<13} ")
             };
             let mut spans =
-                vec![Span::styled(word, style), Span::raw(format!("{:<24} ", candidate.effect))];
-            // What would not have shown has no probability but that of before.
-            let is_seen = candidate.status != Status::NotExcited;
+                vec![Span::styled(text, style), Span::raw(format!("{:<24} ", candidate.effect))];
+            // The probability of an effect that is not detectable is the prior one, and is not shown.
+            let is_detectable = candidate.status != Status::NotExcited;
             let bar_length = match width {
                 WIDE.. => BAR,
                 86.. => 4,
                 _ => 0,
             };
-            spans.extend(share(Some(candidate.probability).filter(|_| is_seen), bar_length));
+            spans.extend(share(Some(candidate.probability).filter(|_| is_detectable), bar_length));
             let is_named = !candidate.parameters.is_empty();
             let text = if is_named {
                 size(candidate, width >= WIDE)
-            } else if is_seen {
+            } else if is_detectable {
                 at_most(candidate)
             } else {
                 None
@@ -190,9 +190,10 @@ fn spans(row: &Row<'_>, width: usize, floor: bool) -> Vec<Span<'static>> {
                 let text = cut(&format!(" as good as {other}"), width.saturating_sub(used + 2));
                 spans.push(Span::styled(text, theme::CAREFUL));
             }
-            if let (true, Some(text)) = (width >= WIDE && is_seen, seen_from(candidate)) {
+            if let (true, Some(text)) = (width >= WIDE && is_detectable, detectable_from(candidate))
+            {
                 let used: usize = spans.iter().map(Span::width).sum();
-                // Half a unit would be another unit.
+                // A text cut within its unit would show another unit.
                 if used + text.chars().count() + 4 <= width {
                     spans.push(Span::styled(format!("  {text}"), theme::DIM));
                 }
@@ -211,7 +212,7 @@ fn share(share: Option<f64>, length: usize) -> Vec<Span<'static>> {
     vec![Span::raw(full), Span::styled(empty, theme::DIM), Span::raw(format!("{percent:>4.0} %"))]
 }
 
-/// The status as a word with its mark, and the colour that repeats it.
+/// The status with its mark, and its colour.
 const fn status(candidate: &Candidate) -> (&'static str, Style) {
     match candidate.status {
         Status::Supported => ("✓ supported", theme::GOOD),

@@ -1,4 +1,4 @@
-//! The screen on which a person finds the missing effect: how good the model is, where it fails, what would mend it.
+//! The screen on which a person finds the missing effect: how good the model is, where it fails, what would improve it.
 //!
 //! ```text
 //! News of the analysis --> DiagnosisScreen::poll --> State::update --> Effect --> Order to the analysis, leave
@@ -37,17 +37,17 @@ use state::{Event, State};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Opens {
-    /// What is missing is searched at once.
+    /// The search for missing effects begins at once.
     #[default]
     Search,
-    /// The same, with the traces over it as soon as they are there.
+    /// The same, with the traces shown as soon as they are ready.
     Traces,
     Comparison(ErrorOf),
 }
 
 impl Opens {
-    /// With what it opens where another screen was left like this; `None` where it was left for something else.
-    pub const fn asked_by(exit: Exit) -> Option<Self> {
+    /// What the screen opens with after this exit of another screen; `None` where that does not lead here.
+    pub const fn after(exit: Exit) -> Option<Self> {
         match exit {
             Exit::Diagnosis => Some(Self::Search),
             Exit::Traces => Some(Self::Traces),
@@ -56,7 +56,7 @@ impl Opens {
     }
 }
 
-/// What the screen is given; the worker holds the other ends.
+/// Inputs of the screen; the worker holds the other ends of the channels.
 #[derive(Debug)]
 pub struct DiagnosisSources {
     pub title: String,
@@ -75,9 +75,9 @@ pub struct DiagnosisScreen {
 }
 
 impl DiagnosisScreen {
-    /// What it begins with is ordered by itself.
+    /// Sends the first order to the worker.
     pub fn new(sources: DiagnosisSources) -> Self {
-        // That a worker has gone shows in its news.
+        // A worker that has ended is noticed by its closed channel.
         let title = sources.title.clone();
         let (order, mut state) = match sources.opens {
             Opens::Comparison(error_of) => {
@@ -109,7 +109,7 @@ impl Screen for DiagnosisScreen {
                 self.state.working.is_some() || self.state.writing || self.state.response_pending;
             let event = match self.sources.news.try_recv() {
                 Ok(news) => Event::News(news),
-                Err(TryRecvError::Disconnected) if waits => Event::WorkerGone,
+                Err(TryRecvError::Disconnected) if waits => Event::WorkerEnded,
                 Err(_) => break,
             };
             is_changed = true;

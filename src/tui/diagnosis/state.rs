@@ -26,19 +26,19 @@ const LEAVING: &str =
 pub(super) enum Event {
     Press(Press),
     News(News),
-    /// The worker has ended and carries nothing out any more.
-    WorkerGone,
+    /// The worker has ended and carries out no more orders.
+    WorkerEnded,
     /// One frame of a change that is being drawn.
     Frame,
 }
 
-/// One model on the way and how it came about.
+/// One model of the ladder, with the change that led to it.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Step {
     pub(super) name: String,
     /// Held-out error in units of the noise.
     pub(super) error: f64,
-    /// Within what chance leaves above a floor that was itself estimated.
+    /// Not significantly above the estimated noise floor.
     pub(super) at_floor: bool,
 }
 
@@ -73,21 +73,21 @@ pub(super) struct State {
     pub(super) title: String,
     /// How the run was stopped, in a few words, where it did not go to its end.
     pub(super) stopped: Option<String>,
-    /// With what it opened, until another order.
+    /// What the screen opened with, until another order.
     pub(super) opens: Opens,
     pub(super) working: Option<String>,
     pub(super) comparison: Option<Arc<Comparison>>,
     pub(super) judged: BTreeMap<&'static str, Judged>,
-    /// Effects that the search has taken so far, with the held-out error then.
-    pub(super) taken: Vec<(&'static str, f64)>,
+    /// Effects that the search has accepted so far, with the held-out error then.
+    pub(super) accepted: Vec<(&'static str, f64)>,
     /// None while the search is under way.
     pub(super) diagnosis: Option<Arc<Diagnosis>>,
     pub(super) next: Option<Arc<NextExperiment>>,
-    /// It is still being looked for.
+    /// It is still being computed.
     pub(super) next_pending: bool,
     pub(super) traces: TracesPage,
     pub(super) response: ResponsePage,
-    /// It is being estimated, or waits for the analysis to be at rest.
+    /// It is being estimated, or waits for the analysis to be idle.
     pub(super) response_pending: bool,
     /// The error alone, and the effects that can be drawn through it.
     pub(super) curves: Vec<Arc<EffectCurve>>,
@@ -95,19 +95,19 @@ pub(super) struct State {
     pub(super) falling: u8,
     pub(super) present: Vec<&'static str>,
     pub(super) ladder: Vec<Step>,
-    /// What came of the last effect that was added or removed.
+    /// Result of the last effect that was added or removed.
     pub(super) change: Option<(bool, Arc<AddResult>)>,
     /// The model before that change is shown.
     pub(super) before: bool,
-    /// The row selected; none before the person has moved.
+    /// The selected row; none before the first move.
     pub(super) selected: Option<&'static str>,
     pub(super) over: Over,
     pub(super) help: Help,
-    /// Rows for which what scrolls had no room when it was drawn: the keys go no further.
+    /// Rows that did not fit when the page was drawn: the limit of scrolling.
     pub(super) hidden: Cell<usize>,
-    /// A model that is to be written is not in its file yet.
+    /// The model is being written.
     pub(super) writing: bool,
-    /// To be left as soon as it is.
+    /// The screen closes as soon as it is written.
     pub(super) leaving: bool,
     pub(super) message: Option<String>,
     pub(super) failure: Option<String>,
@@ -142,7 +142,7 @@ impl State {
         self.is_a_comparison() && self.working.is_none() && self.comparison.is_some()
     }
 
-    /// Whether the traces have the page: opened over it, or beside nothing but the comparison.
+    /// Whether the traces are shown: opened by their key, or as the page of a comparison.
     pub(super) fn shows_traces(&self) -> bool {
         match self.over {
             Over::Traces => true,
@@ -161,20 +161,20 @@ impl State {
         1.0 - f64::from(self.falling) / f64::from(FRAMES)
     }
 
-    /// What the curve page goes through: the curve of the selected effect, where it has one, else the error alone; then what
-    /// an unexplained error follows, each with its place in the diagnosis.
+    /// The curves of the curve page: that of the selected effect, where it has one, else the error alone; then the axis maps of
+    /// an unexplained error, each with its index in the diagnosis.
     pub(super) fn drawn(&self) -> Vec<(Arc<EffectCurve>, Option<usize>)> {
         let selected = self.row().and_then(|row| row.effect()).map(|effect| effect.card().id);
         let of = |id: Option<&str>| self.curves.iter().find(|curve| curve.effect == id);
         let own = selected.and_then(|id| of(Some(id))).or_else(|| of(None));
         let mut drawn: Vec<_> = own.map(|own| (Arc::clone(own), None)).into_iter().collect();
         let maps = self.curves().into_iter();
-        drawn.extend(maps.map(|(place, map)| (Arc::new(EffectCurve::from(map)), Some(place))));
+        drawn.extend(maps.map(|(index, map)| (Arc::new(EffectCurve::from(map)), Some(index))));
         drawn
     }
 
-    /// What the unexplained error follows, where it follows anything that a table can hold, each with its place in the
-    /// diagnosis; the clearest first.
+    /// The axis maps of the unexplained error that a table can represent, each with its index in the diagnosis; the clearest
+    /// first.
     pub(super) fn curves(&self) -> Vec<(usize, &AxisMap)> {
         let maps = self.diagnosis.iter().flat_map(|found| &found.axis_map);
         maps.enumerate()
@@ -201,14 +201,14 @@ impl State {
                 self.falling = self.falling.saturating_sub(1);
                 self.traces.frame();
             }
-            Event::WorkerGone => {
-                let without_answer =
+            Event::WorkerEnded => {
+                let without_result =
                     self.working.take().is_some() | std::mem::take(&mut self.response_pending);
                 if std::mem::take(&mut self.writing) {
                     self.leaving = false;
                     self.fail("the analysis has ended: the model is NOT WRITTEN");
-                } else if without_answer {
-                    self.fail("the analysis has ended without an answer");
+                } else if without_result {
+                    self.fail("the analysis has ended without a result");
                 }
             }
         }
@@ -243,7 +243,7 @@ impl State {
             News::Curves(curves) => {
                 self.curves = curves.into_iter().map(Arc::new).collect();
                 if self.is_a_comparison() {
-                    // The last of it.
+                    // The last news of a comparison.
                     self.working = None;
                 }
             }
@@ -256,7 +256,7 @@ impl State {
                 self.ladder.pop();
                 (self.present, self.change) = (present, None);
                 self.search_begins(effect);
-                self.notify(format!("taken back: {effect}"));
+                self.notify(format!("undone: {effect}"));
             }
             News::Written(text) => {
                 self.writing = false;
@@ -283,11 +283,11 @@ impl State {
             }
             Found::Refitted { effect, error } => {
                 self.judged.entry(effect).or_default().error = Some(error);
-                self.working = Some("refitting with each effect that may pay".to_owned());
+                self.working = Some("refitting with each promising effect".to_owned());
             }
             Found::Accepted { effect, holdout } => {
-                self.taken.push((effect, holdout));
-                // The next round judges them beside the enlarged model.
+                self.accepted.push((effect, holdout));
+                // The next round judges them with the enlarged model.
                 self.judged.clear();
                 self.working = Some("searching for more".to_owned());
             }
@@ -319,26 +319,26 @@ impl State {
             self.falling = FRAMES;
             self.present = result.fit.model.effect_ids();
             self.comparison = Some(Arc::new(result.after.clone()));
-            // What is missing now is searched anew.
+            // The search begins anew.
             self.search_begins(result.effect);
         } else if added {
-            self.notify(format!("refused: a again adds {} all the same", result.effect));
+            self.notify(format!("refused: a again adds {} nevertheless", result.effect));
         } else {
-            self.notify("refused; u takes the last change back");
+            self.notify("refused; u undoes the last change");
         }
         self.set_before(false);
         self.change = Some((added, Arc::new(result)));
     }
 
-    /// Anew, the cursor on the effect that was changed.
+    /// Begins a new search, with the cursor on the changed effect.
     fn search_begins(&mut self, changed: &'static str) {
         self.diagnosis = None;
         (self.next, self.next_pending) = (None, false);
         self.curves.clear();
         self.judged.clear();
-        self.taken.clear();
+        self.accepted.clear();
         self.selected = Some(changed);
-        self.working = Some("searching what is missing now".to_owned());
+        self.working = Some("searching for missing effects".to_owned());
     }
 
     fn press(&mut self, press: Press) -> Option<Effect> {
@@ -365,7 +365,7 @@ impl State {
             _ if self.over == Over::Response && self.response.press(press) => {}
             _ if self.shows_traces() && self.traces.press(press) => {}
             Press::Cursor(way) => self.move_cursor(way),
-            // The worst place is also a way into the page.
+            // The key opens the page too.
             Press::Worst => {
                 self.show_traces();
                 self.traces.press(press);
@@ -451,7 +451,7 @@ impl State {
 
     fn why_none(&self) -> &'static str {
         if self.only_compares() {
-            "there is no list of effects yet: d searches what is missing"
+            "there is no list of effects yet: d searches for missing effects"
         } else if self.working.is_none() {
             "no effect has been judged"
         } else {
@@ -468,9 +468,9 @@ impl State {
         Err(match &self.working {
             Some(work) => format!("at work already: {work}"),
             None if self.diagnosis.is_some() => {
-                "what is missing has been searched: the list is what was found".to_owned()
+                "the search is complete: the list shows its result".to_owned()
             }
-            None => "the analysis has failed: nothing was searched to its end".to_owned(),
+            None => "the analysis has failed: the search is not complete".to_owned(),
         })
     }
 
@@ -533,13 +533,13 @@ impl State {
     fn undo(&mut self) -> Result<Order, String> {
         self.busy()?;
         if self.ladder.len() < 2 {
-            return Err("nothing was changed by hand that could be taken back".to_owned());
+            return Err("there is no change by hand to undo".to_owned());
         }
-        self.begin("taking the last change back".to_owned());
+        self.begin("undoing the last change".to_owned());
         Ok(Order::Undo)
     }
 
-    /// The comparison that is shown: before the last change, or of the model as it stands.
+    /// The comparison that is shown: before the last change, or of the present model.
     pub(super) fn compared(&self) -> Option<&Comparison> {
         let before = self.change.as_ref().filter(|_| self.before).map(|(_, result)| &result.before);
         before.or(self.comparison.as_deref())
@@ -548,19 +548,19 @@ impl State {
     fn toggle_before(&mut self) {
         let change = self.change.as_ref();
         let Some((_, result)) = change.filter(|(_, result)| result.accepted) else {
-            self.notify("there is no change to look before");
+            self.notify("there is no change to compare with");
             return;
         };
         let text = if self.before {
-            format!("after the change of {}: the model as it stands", result.effect)
+            format!("after the change of {}: the present model", result.effect)
         } else {
-            format!("BEFORE the change of {}; b shows the model as it stands", result.effect)
+            format!("BEFORE the change of {}; b shows the present model", result.effect)
         };
         self.set_before(!self.before);
         self.notify(text);
     }
 
-    /// Comparison and traces of the model before the last change, or as it stands.
+    /// Comparison and traces of the model before the last change, or of the present one.
     fn set_before(&mut self, before: bool) {
         self.before = before;
         self.traces.set_before(before);
@@ -590,7 +590,7 @@ impl State {
         self.over = match self.over {
             Over::Next(_) => Over::Nothing,
             _ if self.diagnosis.is_none() => {
-                self.notify("not yet: there is no answer that a run could add to");
+                self.notify("not yet: the diagnosis is not done");
                 self.over
             }
             _ => Over::Next(0),
@@ -608,10 +608,10 @@ impl State {
         };
     }
 
-    /// Estimated anew each time: the model may be another.
+    /// Estimated anew each time: the model may have changed.
     fn respond(&mut self) -> Result<Order, String> {
         if self.response_pending {
-            let text = "not yet: the frequency response comes when the analysis is at rest";
+            let text = "not yet: the frequency response comes when the analysis is idle";
             return Err(text.to_owned());
         }
         self.response_pending = true;
@@ -619,7 +619,7 @@ impl State {
         Ok(Order::Respond)
     }
 
-    /// From point to point of the curve in sight.
+    /// From point to point of the shown curve.
     fn move_cursor(&mut self, way: i32) {
         let Over::Curve(index, at) = self.over else {
             self.notify(why_nothing(Press::Cursor(way)));
@@ -651,26 +651,25 @@ impl State {
         };
     }
 
-    /// Adds the curve in sight, else the clearest.
+    /// Adds the shown curve, else the clearest.
     fn table(&mut self) -> Result<Order, String> {
         self.busy()?;
-        let in_sight = match self.over {
-            Over::Curve(index, _) => self.drawn().get(index).map(|(_, place)| *place),
+        let shown = match self.over {
+            Over::Curve(index, _) => self.drawn().get(index).map(|(_, index)| *index),
             _ => None,
         };
-        if in_sight == Some(None) {
+        if shown == Some(None) {
             let text = "this curve is no table to add: a adds the effect, c shows the next curve";
             return Err(text.to_owned());
         }
-        let wanted =
-            |(place, _): &(usize, &AxisMap)| in_sight.is_none_or(|own| own == Some(*place));
-        let Some((place, map)) = self.curves().into_iter().find(wanted) else {
+        let wanted = |(index, _): &(usize, &AxisMap)| shown.is_none_or(|own| own == Some(*index));
+        let Some((index, map)) = self.curves().into_iter().find(wanted) else {
             let text = "there is no curve to add: the error is explained, or follows no axis";
             return Err(text.to_owned());
         };
         let (equation, axis) = (map.equation, map.axis);
         self.begin(format!("fitting the curve of the {equation} error over {axis}"));
-        Ok(Order::AddCurve(place))
+        Ok(Order::AddCurve(index))
     }
 
     fn write(&mut self) -> Result<Order, String> {
@@ -683,7 +682,7 @@ impl State {
         }
         // The worker may still plan the next run: the file comes after that.
         self.writing = true;
-        self.notify("the model will be written as soon as the analysis is at rest");
+        self.notify("the model will be written as soon as the analysis is idle");
         Ok(Order::Write)
     }
 }
@@ -694,9 +693,7 @@ fn why_nothing(press: Press) -> &'static str {
         Press::Start | Press::Freeze | Press::Mark | Press::ResetFault => {
             "nothing runs here: that key is for the screen of a run"
         }
-        Press::Experiment | Press::SpeedLoop => {
-            "only a commissioning goes on with that, on the page of its steps"
-        }
+        Press::Experiment | Press::SpeedLoop => "that key is for the steps page of a commissioning",
         Press::Zoom | Press::Zoomed(_) | Press::Pan(_) | Press::Signals => {
             "zoom, pan and signals belong to the traces: v shows them"
         }
@@ -704,7 +701,7 @@ fn why_nothing(press: Press) -> &'static str {
         Press::NextScreen | Press::PreviousScreen | Press::Page(_) => {
             "there is one page here: ? lists the keys that show others over it"
         }
-        Press::Yes => "nothing was asked",
+        Press::Yes => "there is no question to answer",
         _ => "that key does nothing here: ? lists those that do",
     }
 }

@@ -25,7 +25,7 @@ use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::testing::with_a_fan;
 use drivebench_model::sample::Channel;
 
-/// What is left once the effect is in the model.
+/// The diagnosis once the effect is in the model.
 fn nothing_more() -> Diagnosis {
     Diagnosis {
         verdict: DiagnosisVerdict::None,
@@ -141,7 +141,7 @@ fn just_added() -> State {
     state
 }
 
-/// Its fall is drawn half.
+/// The fall of the error is half drawn.
 fn falling() -> State {
     let mut state = just_added();
     for _ in 0..FRAMES / 2 {
@@ -173,7 +173,7 @@ fn stopped() -> State {
     }))
 }
 
-/// The state after these keys, and what the last of them asks for.
+/// The state after these keys, and the effect of the last one.
 fn after(mut state: State, keys: &str) -> (State, Option<Effect>) {
     let effect = keys.chars().map(|key| press(&mut state, testing::key(key))).last().flatten();
     (state, effect)
@@ -246,7 +246,7 @@ fn refused() -> State {
     state
 }
 
-/// A pair that these runs do not tell apart, and the run that would.
+/// A pair that these runs do not separate, and the run that would.
 fn ambiguous() -> State {
     let mut state = answered();
     let confusable = vec![["viscous_friction", "quadratic_load"]];
@@ -305,7 +305,7 @@ fn failed(mut state: State) -> State {
 }
 
 fn abandoned(mut state: State) -> State {
-    assert_eq!(state.update(Event::WorkerGone), None);
+    assert_eq!(state.update(Event::WorkerEnded), None);
     state
 }
 
@@ -335,7 +335,7 @@ fn every_small_size() {
     }
 }
 
-/// A state, keys, what the last of them asks for, and a part of what the screen then shows.
+/// A state, keys, the effect of the last one, and a part of what the screen then shows.
 type Row<'a> = (&'a dyn Fn() -> State, &'a str, Option<Effect>, &'a str);
 
 fn check(rows: &[Row<'_>]) {
@@ -352,12 +352,12 @@ fn bare() -> State {
 }
 
 #[test]
-fn keys_that_change_the_model_give_orders_and_are_answered() {
+fn keys_that_change_the_model_give_orders_and_messages() {
     use Order::{Add, Force, Remove, Undo};
     let order = |order| Some(Effect::Order(order));
     let undone = News::Undone { effect: "stribeck_friction", present: Vec::new() };
-    let mut taken_back = pressed(at_the_floor(), "u");
-    receive(&mut taken_back, undone);
+    let mut undone_state = pressed(at_the_floor(), "u");
+    receive(&mut undone_state, undone);
     let mut removal_refused = pressed(at_the_floor(), "r");
     let News::Added(refusal) = added("stribeck_friction", false) else { panic!("an addition") };
     receive(&mut removal_refused, News::Removed(refusal));
@@ -365,30 +365,30 @@ fn keys_that_change_the_model_give_orders_and_are_answered() {
         (&answered, "a", order(Add("stribeck_friction")), "… refitting with stribeck_friction"),
         (&answered, "aa", None, "not yet: refitting with stribeck_friction"),
         (&answered, "↓a", order(Add("cogging")), "▶"),
-        (&just_added, "", None, "… searching what is missing now"),
+        (&just_added, "", None, "… searching for missing effects"),
         (&at_the_floor, "", None, "+ in the model stribeck_friction"),
         (&at_the_floor, "", None, "1.03 at the floor"),
         (&at_the_floor, "", None, "NOTHING MISSING"),
-        (&refused, "", None, "refused: cogging is there with 4 % only"),
+        (&refused, "", None, "refused: cogging has a probability of 4 % only"),
         (&refused, "", None, "ready"),
         (&refused, "r", None, "the model has no effect yet"),
         (&refused, "a", order(Force("cogging")), "refitting with cogging"),
         (&answered, "r", None, "the model has no effect yet"),
-        (&answered, "u", None, "nothing was changed by hand"),
+        (&answered, "u", None, "there is no change by hand"),
         (&answered, "b", None, "there is no change"),
         (&at_the_floor, "↓r", None, "cogging is not in the model: a adds it"),
         (&at_the_floor, "↓↑a", None, "stribeck_friction is in the model already"),
         (&at_the_floor, "r", order(Remove("stribeck_friction")), "refitting without"),
-        (&|| removal_refused.clone(), "", None, "refused; u takes the last change back"),
+        (&|| removal_refused.clone(), "", None, "refused; u undoes the last change"),
         (&at_the_floor, "b", None, "BEFORE the change of stribeck_friction"),
         (&at_the_floor, "bb", None, "after the change of stribeck_friction"),
-        (&at_the_floor, "u", order(Undo), "taking the last change back"),
-        (&|| taken_back.clone(), "", None, "taken back: stribeck_friction"),
+        (&at_the_floor, "u", order(Undo), "undoing the last change"),
+        (&|| undone_state.clone(), "", None, "undone: stribeck_friction"),
     ]);
 }
 
 #[test]
-fn keys_of_pages_show_them_or_say_what_is_missing() {
+fn keys_of_pages_show_them_or_give_the_reason() {
     use Order::{AddCurve, Diagnose, Respond, Write};
     let order = |order| Some(Effect::Order(order));
     let leave = |exit| Some(Effect::Leave(exit));
@@ -420,17 +420,17 @@ fn keys_of_pages_show_them_or_say_what_is_missing() {
         (&compared_alone, "dd", None, "at work already"),
         (&compared_alone, "↓", None, "there is no list of effects yet"),
         (&compared_alone, "e↓", None, "this page does not scroll"),
-        (&searching, "n", None, "not yet: there is no answer"),
+        (&searching, "n", None, "not yet: the diagnosis is not done"),
         // The dither is above the constant, below what that run needs.
-        (&ambiguous, "n", None, "from which on that run tells"),
-        (&ambiguous, "n", None, "612  tells"),
+        (&ambiguous, "n", None, "with its expected separation"),
+        (&ambiguous, "n", None, "612  distinguishes"),
         (&ambiguous, "n", None, "612  does not"),
-        (&ambiguous, "n", None, "viscous_friction and quadratic_load cannot be told apart"),
+        (&ambiguous, "n", None, "viscous_friction and quadratic_load cannot be distinguished"),
         (&ambiguous, "n", None, "run a slow ramp"),
         (&ambiguous, "nn", None, "effects: status"),
-        (&|| next_run(None), "", None, "being looked for"),
-        (&|| next_run(Some(News::Recommended(None))), "", None, "none is asked for"),
-        (&|| next_run(Some(reveals())), "", None, "foreseen precision"),
+        (&|| next_run(None), "", None, "being computed"),
+        (&|| next_run(Some(News::Recommended(None))), "", None, "none is needed"),
+        (&|| next_run(Some(reveals())), "", None, "expected precision"),
         (&answered, "w", order(Write), "… writing the model"),
         (&answered, "ww", None, "not yet: the model is being written"),
         (&|| leaving(None), "", None, "leaves when the model is written"),
@@ -454,7 +454,7 @@ fn keys_of_pages_show_them_or_say_what_is_missing() {
         (&|| failed(begun()), "", None, "e map"),
         (&comparing, "d", None, "at work already: comparing"),
         (&searching, "d", None, "at work already: "),
-        (&answered, "d", None, "what is missing has been searched"),
+        (&answered, "d", None, "the search is complete"),
     ]);
     // After a failure only what there is is offered.
     for (state, missing) in [(failed(bare()), "e map"), (failed(begun()), "v traces")] {
@@ -484,7 +484,7 @@ fn b_compares_before_and_the_ladder_follows_each_change() {
 }
 
 #[test]
-fn what_is_not_right_is_not_green() {
+fn a_poor_result_is_not_green() {
     let shown = text(&answered(), 120, 40);
     let row = shown.lines().find(|row| row.contains("residual")).unwrap();
     assert!(row.contains("not white (80 % of lags outside)") && !row.contains('✓'), "{row}");
@@ -501,7 +501,7 @@ fn what_is_not_right_is_not_green() {
 }
 
 #[test]
-fn the_help_gives_back_the_page_that_it_explains() {
+fn closing_the_help_returns_to_its_page() {
     for over in OVER {
         let state = pressed(State { over, ..of_a_fan() }, "?↓");
         assert_eq!((state.help.first, state.over), (Some(1), over));
@@ -542,7 +542,7 @@ fn a_click_selects_a_row_or_sets_the_cursor_and_the_wheel_zooms() {
 }
 
 #[test]
-fn in_every_state_orders_wait_q_leaves_and_idle_keys_say_why() {
+fn in_every_state_orders_wait_q_leaves_and_idle_keys_explain() {
     for state in every_state() {
         let busy = state.working.is_some();
         for key in ["a", "r", "w"] {

@@ -27,15 +27,15 @@ use drivebench_diagnose::{AddResult, Answer, Diagnosis, DiagnosisVerdict};
 use drivebench_model::text::lines::{cut, wrapped};
 
 const MEANING: [&str; 5] = [
-    "Errors: free-running model, a run that the fit has not seen, in units of the noise.",
-    "Per cent: how likely the effect is there, weighed with all the others at once.",
-    "supported: 90 % and more. possible: 10 to 90 %. ruled out: less; it is at most as large as it says.",
-    "not excited: this run would not show it. seen from: the smallest size that would have been named.",
+    "Errors: free-running model, on a run not used in the fit, in units of the noise.",
+    "Per cent: probability of the effect, computed together with all the others.",
+    "supported: 90 % and more. possible: 10 to 90 %. ruled out: less; the size is an upper bound.",
+    "not excited: this run would not show it. detectable from: the smallest size that would have been named.",
     "A name is an equation, not a cause: the card lists causes that share it.",
 ];
 
-/// Where the parts of the page stand.
-struct Places {
+/// The areas of the page.
+struct Areas {
     top: Rect,
     verdict: Rect,
     failing: Rect,
@@ -45,15 +45,15 @@ struct Places {
     bottom: Rect,
 }
 
-impl Places {
-    /// What lies between the verdict and the keys: a page over it takes all of that.
+impl Areas {
+    /// All between the verdict and the keys: the area of a page over it.
     fn body(&self) -> Rect {
         let parts = [self.failing, self.strip, self.list, self.ladder];
         Rect { height: parts.iter().map(|part| part.height).sum(), ..self.failing }
     }
 }
 
-fn places(state: &State, area: Rect) -> Places {
+fn areas(state: &State, area: Rect) -> Areas {
     let tall = area.height >= 20;
     let verdict_room = usize::from(area.width).saturating_sub(1);
     let most_rows = usize::from(state.stopped.is_some()) + if tall { 3 } else { 1 };
@@ -89,13 +89,13 @@ fn places(state: &State, area: Rect) -> Places {
         Constraint::Length(bottom_rows),
     ])
     .areas(area);
-    Places { top, verdict, failing, strip, list, ladder, bottom }
+    Areas { top, verdict, failing, strip, list, ladder, bottom }
 }
 
 /// Selects the row or sets the cursor of traces or curve at the click; else a message says that there is nothing.
 pub(super) fn click(state: &mut State, at: Position, area: Rect) {
-    let places = places(state, area);
-    let body = places.body();
+    let areas = areas(state, area);
+    let body = areas.body();
     let is_taken = match state.over {
         _ if state.help.first.is_some() => false,
         _ if !body.contains(at) => false,
@@ -106,11 +106,11 @@ pub(super) fn click(state: &mut State, at: Position, area: Rect) {
             point.is_some()
         }
         Over::Nothing if state.only_compares() => {
-            places.list.contains(at) && state.traces.click(at.x, places.list)
+            areas.list.contains(at) && state.traces.click(at.x, areas.list)
         }
-        Over::Nothing if places.strip.contains(at) => state.traces.click(at.x, places.strip),
+        Over::Nothing if areas.strip.contains(at) => state.traces.click(at.x, areas.strip),
         Over::Nothing => {
-            places.list.contains(at) && state.select_drawn(at.y - places.list.y, places.list)
+            areas.list.contains(at) && state.select_drawn(at.y - areas.list.y, areas.list)
         }
         _ => false,
     };
@@ -123,20 +123,20 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
     if is_too_small("too small", "q = leave", theme::CAREFUL, area, buffer) {
         return;
     }
-    let places = places(state, area);
-    let body = places.body();
-    top_bar(state, places.top, buffer);
-    text(verdict_lines(state), inset(places.verdict), buffer);
+    let areas = areas(state, area);
+    let body = areas.body();
+    top_bar(state, areas.top, buffer);
+    text(verdict_lines(state), inset(areas.verdict), buffer);
     match state.over {
         Over::Nothing => {
-            failing(state, places.failing, buffer);
+            failing(state, areas.failing, buffer);
             if state.only_compares() {
-                traces::view(&state.traces, places.list, buffer);
+                traces::view(&state.traces, areas.list, buffer);
             } else {
-                traces::strip(&state.traces, places.strip, buffer);
-                candidates(state, places.list, buffer);
+                traces::strip(&state.traces, areas.strip, buffer);
+                candidates(state, areas.list, buffer);
             }
-            ladder(state, places.ladder, buffer);
+            ladder(state, areas.ladder, buffer);
         }
         _ if body.height == 0 => {}
         Over::Card(line) => card(state, line, body, buffer),
@@ -146,14 +146,11 @@ pub(super) fn view(state: &State, frame: &mut Frame<'_>) {
         Over::Next(line) => next(state, line, body, buffer),
         Over::Curve(index, cursor) => charts::curve(state, index, cursor, body, buffer),
     }
-    let under_top = Rect {
-        y: area.y + 1,
-        height: area.height.saturating_sub(1 + places.bottom.height),
-        ..area
-    };
+    let under_top =
+        Rect { y: area.y + 1, height: area.height.saturating_sub(1 + areas.bottom.height), ..area };
     state.help.draw(On::Diagnosis, &MEANING, under_top, buffer);
     let (keys, always) = keys(state);
-    hints(state.message.as_deref(), &keys, always, places.bottom, buffer);
+    hints(state.message.as_deref(), &keys, always, areas.bottom, buffer);
 }
 
 /// Rows of the traces on the page itself, where it is large.
@@ -201,26 +198,26 @@ fn verdict_line(state: &State) -> Line<'static> {
         let refitted = judged.filter(|judged| judged.error.is_some());
         let (screened, refitted) = (screened.count(), refitted.count());
         let mut text = format!("{screened} effects screened, {refitted} refitted");
-        for (id, error) in &state.taken {
-            let _ = write!(text, "; {id} taken, held-out error {error:.2}");
+        for (id, error) in &state.accepted {
+            let _ = write!(text, "; {id} accepted, held-out error {error:.2}");
         }
         return Line::styled(text, theme::CAREFUL);
     };
-    let (word, style) = word(diagnosis);
+    let (verdict_label, style) = verdict_label(diagnosis);
     let rest = words::after_name(diagnosis);
     let colon = if rest.is_empty() { "" } else { ": " };
-    let mut line = Line::from(Span::styled(format!("{word}{colon}"), style));
+    let mut line = Line::from(Span::styled(format!("{verdict_label}{colon}"), style));
     line.push_span(rest);
     let names_effects =
         matches!(diagnosis.verdict, DiagnosisVerdict::Effect | DiagnosisVerdict::Ambiguous);
     if names_effects && !diagnosis.sufficient {
-        line.push_span("; this is not all: much is still unexplained");
+        line.push_span("; not sufficient: more than noise is unexplained");
     }
     if !diagnosis.limits.is_empty() {
-        line.push_span("; n shows what limits this answer");
+        line.push_span("; n shows the limits of this diagnosis");
     }
     if !state.curves().is_empty() {
-        line.push_span("; c shows the curve that it follows, t adds it");
+        line.push_span("; c shows the curve of the error, t adds it");
     }
     line
 }
@@ -231,7 +228,7 @@ fn inset(area: Rect) -> Rect {
 }
 
 /// The verdict as on page and card, with a mark that the colour only repeats.
-fn word(diagnosis: &Diagnosis) -> (String, Style) {
+fn verdict_label(diagnosis: &Diagnosis) -> (String, Style) {
     let answer = diagnosis.answer();
     let (mark, style) = match (tone(answer), answer) {
         (Tone::Good, _) => ("✓", theme::GOOD),
@@ -242,7 +239,7 @@ fn word(diagnosis: &Diagnosis) -> (String, Style) {
     (format!("{mark} {}", words::answer(answer).to_uppercase()), style)
 }
 
-/// The keys that do something now, the first first, and those that are always shown.
+/// The keys that act now, by priority, and those that are always shown.
 fn keys(state: &State) -> (Vec<&'static str>, &'static str) {
     const LEAVE: &str = "? help  q leave";
     let followed = state.curves().len();
@@ -315,7 +312,7 @@ fn failing_lines(state: &State, width: u16) -> Vec<Line<'static>> {
 
 const NAME: usize = 26;
 
-/// The ladder: the held-out error of every model so far, beside the noise floor.
+/// The ladder: the held-out error of every model so far, with the noise floor.
 fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     if area.height == 0 {
         return;
@@ -336,7 +333,7 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     let before = std::iter::once(None).chain(state.ladder.iter().map(Some));
     lines.extend(before.zip(&state.ladder).enumerate().skip(hidden).map(
         |(index, (before, step))| {
-            // The bar of the last change falls, or rises, from the one above it; the figure is the true one at once.
+            // The bar of the last change moves from the length of the one above it; the figure is final at once.
             let is_last = index + 1 == state.ladder.len();
             let from = before.filter(|_| is_last).map_or(step.error, |before| before.error);
             rung(step, from + state.fallen_share() * (step.error - from), largest, floor, width)
@@ -345,7 +342,7 @@ fn ladder(state: &State, area: Rect, buffer: &mut Buffer) {
     rows(&lines, inner, buffer);
 }
 
-/// What the last key did, in as many rows as that takes.
+/// Result of the last change, in up to three rows.
 fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
     let Some((added, result)) = &state.change else {
         return Vec::new();
@@ -368,17 +365,17 @@ fn rung(step: &Step, bar: f64, largest: f64, floor: bool, width: usize) -> Line<
             (false, false) => ' ',
         })
         .collect();
-    let (style, word) =
+    let (style, verdict_label) =
         if step.at_floor { (theme::GOOD, " at the floor") } else { (theme::CAREFUL, "") };
     Line::from(vec![
         Span::raw(format!(" {:<NAME$} ", cut(&step.name, NAME))),
         Span::styled(bar, style),
         Span::styled(format!(" {:>6.2}", step.error), theme::BOLD),
-        Span::raw(word),
+        Span::raw(verdict_label),
     ])
 }
 
-/// What the last key did: before and after, or why it was refused.
+/// Result of the last change: before and after, or why it was refused.
 fn change(added: bool, result: &AddResult) -> (String, Style) {
     let reason = || change_words::change(result);
     if !result.accepted {
@@ -387,9 +384,9 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
     if result.forced {
         return (format!("~ {}: {}", result.effect, reason()), theme::CAREFUL);
     }
-    let word = if added { "added" } else { "removed" };
+    let verdict_label = if added { "added" } else { "removed" };
     let figures = error_changes(result);
-    let mut text = format!("✓ {word} {}: {figures}", result.effect);
+    let mut text = format!("✓ {verdict_label} {}: {figures}", result.effect);
     if let Some([before, after]) = &result.confirm {
         let (before, after) = (before.holdout_rmse, after.holdout_rmse);
         let times = wording::times(result.before.noise_floor_from);
@@ -413,7 +410,7 @@ fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
         return;
     };
     let none = match (state.next_pending, &state.failure) {
-        (true, _) => Some("being looked for"),
+        (true, _) => Some("being computed"),
         (false, Some(_)) if state.next.is_none() => Some("none is known"),
         _ => None,
     };

@@ -1,4 +1,4 @@
-//! The screen of a run: what the motor does, what is known of it, and the steps of the workflow around it.
+//! The screen of a run: motion, estimated parameters, and the steps of the workflow.
 //!
 //! ```text
 //! LiveSources (cells of the worker) --> LiveScreen::poll --> model (what is shown) --update--> Effect --> the worker
@@ -33,14 +33,14 @@ use model::{Event, Model};
 
 pub(super) use view::name as parameter_name;
 
-/// What the screen is given; the worker holds the other ends.
+/// Inputs of the screen; the worker holds the other ends of the channels.
 #[derive(Debug)]
 pub struct LiveSources {
     pub snapshots: SnapshotCell,
     pub ranking: RankingCell,
     pub workflow: Option<ProgressCell>,
-    /// Where `q` leads when the run has gone to its end, and the program goes on: "back to the loop".
-    pub leads: Option<&'static str>,
+    /// What follows `q` after a completed run, where the program continues: "back to the steps".
+    pub followed_by: Option<&'static str>,
     pub intents: Sender<Intent>,
     pub worker: WorkerCell,
     /// Set with every stop: nothing more is to be started, also between two runs, where no intent is read.
@@ -57,7 +57,7 @@ pub struct LiveScreen {
 impl LiveScreen {
     pub fn new(sources: LiveSources) -> Self {
         let mut model = Model::new(sources.workflow.as_ref().map(ProgressCell::latest));
-        model.leads = sources.leads;
+        model.followed_by = sources.followed_by;
         Self { model, sources }
     }
 
@@ -113,7 +113,7 @@ impl Screen for LiveScreen {
     }
 
     fn click(&mut self, at: Position, _: Rect) {
-        // It leaves for nothing.
+        // A click never closes the screen.
         let _ = self.act(Event::Press(Press::Click(at)));
     }
 

@@ -65,18 +65,18 @@ pub(super) struct Model {
     pub(super) confirm_start: bool,
     pub(super) zoom: usize,
     pub(super) scroll: usize,
-    /// Lines for which what scrolls had no room when it was drawn: the keys go no further.
+    /// Lines that did not fit when the page was drawn: the limit of scrolling.
     pub(super) hidden: Cell<usize>,
-    /// What each step needs, unlocks and is called, also of those that are not under way.
+    /// Whether needs, results and command of every step are shown, not only of the active one.
     pub(super) explains: bool,
     pub(super) marks: u32,
-    /// Answer to the last key, and for how many updates it still stands.
+    /// Message of the last key, and the number of updates for which it remains.
     pub(super) message: Option<String>,
-    answer_looks: u16,
-    /// Where `q` leads when the run has gone to its end, where the program goes on.
-    pub(super) leads: Option<&'static str>,
-    /// The latest value that each parameter had, with the second of the run: between two of them an estimator may have none.
-    pub(super) held: BTreeMap<String, (ParameterEstimate, f64)>,
+    message_updates: u16,
+    /// What follows `q` after a completed run, where the program continues.
+    pub(super) followed_by: Option<&'static str>,
+    /// The latest value of each parameter, with its time in the run, s: an estimator may have none for a while.
+    pub(super) last_values: BTreeMap<String, (ParameterEstimate, f64)>,
     /// Leaves, and why, as soon as the worker has finished.
     pub(super) leaving: Option<Exit>,
     pub(super) interrupts: u8,
@@ -104,15 +104,16 @@ impl Model {
         }
         let viewed = &self.snapshot;
         let shown = viewed.estimates.iter().map(|estimate| {
-            let held = self.held.get(&estimate.key);
-            let held = held.filter(|_| estimate.value.is_none());
-            let Some((last, at_s)) = held.filter(|(_, at_s)| *at_s <= viewed.elapsed_s) else {
+            let last_values = self.last_values.get(&estimate.key);
+            let last_values = last_values.filter(|_| estimate.value.is_none());
+            let Some((last, at_s)) = last_values.filter(|(_, at_s)| *at_s <= viewed.elapsed_s)
+            else {
                 return estimate.clone();
             };
             let age_s = viewed.elapsed_s - at_s;
             let now = estimate.reason.as_deref().unwrap_or("none now");
             ParameterEstimate {
-                // Whatever it was then: now it is not settled.
+                // Its former verdict does not hold now.
                 verdict: Verdict::Searching,
                 reason: Some(format!("value of {age_s:.1} s ago; {now}")),
                 ..last.clone()
@@ -126,7 +127,7 @@ impl Model {
         workflow.is_some_and(|workflow| workflow.report.is_some())
     }
 
-    /// Whether the whole loop is over, or a run without one went to its end: that can be diagnosed by hand.
+    /// Whether a commissioning or a single run is complete, and can be diagnosed by hand.
     pub(super) fn can_diagnose(&self) -> bool {
         let has_run = self.workflow.is_none() && self.snapshot.outcome == Some("done");
         self.is_finished() && (self.shows_report() || has_run)
@@ -171,13 +172,13 @@ impl Model {
             Event::Worker(state) => return self.worker_is(state),
             Event::Ranking(ranking) => self.ranking = ranking,
             Event::Snapshot(snapshot) => {
-                self.hold(&snapshot);
+                self.keep_values(&snapshot);
                 self.snapshot = snapshot;
                 self.confirm_start &= self.waits_for_start();
             }
             Event::Workflow(workflow) => {
                 if workflow.report.is_some() && !self.shows_report() {
-                    // The answer that everything was done for.
+                    // The report is shown as soon as it is there.
                     self.page = Page::Steps;
                     self.scroll = 0;
                 }
@@ -187,42 +188,42 @@ impl Model {
         Vec::new()
     }
 
-    /// Keeps the values that there are and that physics allows. Those of another run are not those of this one, and when it
-    /// is over there are none but the last.
-    fn hold(&mut self, snapshot: &Snapshot) {
+    /// Keeps the present values that physics allows. Values of another run are dropped; after the run only its last ones are
+    /// shown.
+    fn keep_values(&mut self, snapshot: &Snapshot) {
         let is_over = !snapshot.phase.is_some_and(Phase::is_recorded);
         if is_over || snapshot.name != self.snapshot.name {
-            self.held.clear();
+            self.last_values.clear();
         }
         if is_over {
             return;
         }
         for estimate in snapshot.estimates.iter() {
             if estimate.verdict == Verdict::Invalid {
-                self.held.remove(&estimate.key);
+                self.last_values.remove(&estimate.key);
             } else if estimate.value.is_some() {
-                let held = (estimate.clone(), snapshot.elapsed_s);
-                self.held.insert(estimate.key.clone(), held);
+                let last_values = (estimate.clone(), snapshot.elapsed_s);
+                self.last_values.insert(estimate.key.clone(), last_values);
             }
         }
     }
 
-    /// One update has passed; whether the answer to the last key has stood long enough.
+    /// One update has passed; whether the message of the last key has expired with it.
     pub(super) fn message_expires(&mut self) -> bool {
-        self.answer_looks = self.answer_looks.saturating_sub(1);
-        self.answer_looks == 0 && self.message.take().is_some()
+        self.message_updates = self.message_updates.saturating_sub(1);
+        self.message_updates == 0 && self.message.take().is_some()
     }
 
     pub(super) fn quit_label(&self) -> &'static str {
-        // Without a confirmed stop the program goes on to nothing.
+        // Without a confirmed stop no step follows.
         let is_sure = self.snapshot.stop_error.is_none();
         let is_done = self.is_finished() && is_sure && self.snapshot.outcome == Some("done");
-        self.leads.filter(|_| is_done).unwrap_or("quit")
+        self.followed_by.filter(|_| is_done).unwrap_or("quit")
     }
 
     fn worker_is(&mut self, state: WorkerState) -> Vec<Effect> {
         self.worker = state;
-        // The reason, a failed check for instance, is printed where the screen was.
+        // The reason, for instance a failed check, is printed after the screen.
         let has_shown_nothing = self.snapshot.phase.is_none() && !self.shows_report();
         let exit = match (state, self.leaving) {
             (WorkerState::Working, _) => None,
@@ -263,7 +264,7 @@ impl Model {
             Press::Diagnose if self.can_diagnose() => return vec![Effect::Leave(Exit::Diagnosis)],
             Press::Traces if self.can_diagnose() => return vec![Effect::Leave(Exit::Traces)],
             Press::Diagnose | Press::Traces => {
-                self.notify("not yet: the diagnosis begins where a run has gone to its end");
+                self.notify("not yet: the diagnosis begins after a completed run");
             }
             Press::Experiment => return self.follow(Step::Experiment, Exit::Experiment),
             Press::SpeedLoop => return self.follow(Step::SpeedLoop, Exit::SpeedLoop),
@@ -285,8 +286,8 @@ impl Model {
                 self.frozen = shown;
                 if self.page != Page::Live {
                     self.notify(match self.frozen {
-                        Some(_) => "scope and parameters are frozen: f goes on",
-                        None => "scope and parameters go on",
+                        Some(_) => "scope and parameters are frozen: f continues",
+                        None => "scope and parameters are live again",
                     });
                 }
             }
@@ -329,13 +330,13 @@ impl Model {
 
     pub(super) fn notify(&mut self, text: impl Into<String>) {
         self.message = Some(text.into());
-        self.answer_looks = 200;
+        self.message_updates = 200;
     }
 
     /// Leaves for a step that can follow the report; else shows why it cannot.
     fn follow(&mut self, step: Step, exit: Exit) -> Vec<Effect> {
         let Some(workflow) = self.workflow.clone() else {
-            self.notify("only a commissioning goes on from here");
+            self.notify("only a commissioning has further steps");
             return Vec::new();
         };
         match workflow.is_offered(step) {
@@ -384,9 +385,9 @@ impl Model {
         if self.leaving.is_some() {
             return vec![Effect::Leave(Exit::Quit)];
         }
-        // An intent to start may be under way: the worker must have received this one before the screen goes.
+        // An intent to start may be on its way: the worker must have received this one before the screen closes.
         self.leaving = Some(Exit::Quit);
-        self.notify("quitting as soon as the work in hand is put down; q again: now");
+        self.notify("quitting as soon as the present step ends; q again: now");
         vec![Effect::Send(Intent::Quit), Effect::RequestStop]
     }
 }
@@ -394,7 +395,7 @@ impl Model {
 /// Why a key of another screen does nothing here.
 const fn why_nothing(press: Press) -> &'static str {
     match press {
-        Press::Yes => "nothing was asked",
+        Press::Yes => "there is no question to answer",
         Press::Click(_) => {
             "there is nothing to select here: the wheel zooms the scope and scrolls pages"
         }

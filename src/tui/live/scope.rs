@@ -1,6 +1,6 @@
 //! Charts over one time axis: voltage; current; speed, measured and of the model, or with a loop its reference; and the
 //! innovation of the on-line estimators.
-//! Below them the lines of dots in Braille: every column shows the smallest and the largest value that fell into it.
+//! Lines are drawn with Braille dots: every column shows the smallest and the largest value in it.
 
 use ratatui::buffer::Buffer;
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -48,11 +48,11 @@ impl Chart {
     }
 }
 
-/// Draws the last `window_s` seconds; where there is little room, the speed comes first. `stands`: why nothing new comes.
+/// Draws the last `window_s` seconds; where there is little room, the speed comes first. `halted`: why the view does not move.
 pub(super) fn scope(
     snapshot: &Snapshot,
     window_s: f64,
-    stands: Option<&str>,
+    halted: Option<&str>,
     area: Rect,
     buffer: &mut Buffer,
 ) {
@@ -77,15 +77,15 @@ pub(super) fn scope(
     let mut rows = vec![Constraint::Fill(1); charts.len()];
     rows.push(Constraint::Length(1));
     let areas = Layout::vertical(rows).split(area);
-    for (chart, place) in charts.iter().zip(areas.iter()) {
-        draw(*chart, snapshot, points, (from_s, to_s), *place, buffer);
+    for (chart, chart_area) in charts.iter().zip(areas.iter()) {
+        draw(*chart, snapshot, points, (from_s, to_s), *chart_area, buffer);
     }
-    if let Some(place) = areas.last() {
-        time_axis(from_s, to_s, stands, *place, buffer);
+    if let Some(chart_area) = areas.last() {
+        time_axis(from_s, to_s, halted, *chart_area, buffer);
     }
 }
 
-/// The time axis grows from the first point and then runs along. What is no longer kept is not shown as empty.
+/// The time axis grows from the first point and then scrolls. Points that are not kept any more leave no empty part.
 fn window(points: &[TracePoint], wanted_s: f64) -> (f64, f64) {
     let times = points.iter().map(|point| point.time_s).filter(|time_s| time_s.is_finite());
     let (first, last) = times.fold((f64::NAN, f64::NAN), |(first, last): (f64, f64), time_s| {
@@ -119,7 +119,7 @@ fn draw(
         Chart::Innovation => innovations.map(|point| (point.time_s, point.speed_rad_s)).collect(),
         _ => trace(&|point| chart.value(point)),
     };
-    // A loop is compared with its reference: the model has no load that changes meanwhile.
+    // A speed loop is compared with its reference: the model does not have a load that changes.
     let follows = points.iter().any(|point| point.reference_rad_s.is_finite());
     let model = match chart {
         Chart::Speed if follows => trace(&|point| point.reference_rad_s),
@@ -177,12 +177,12 @@ fn title(
     line
 }
 
-/// Two decimals, so that the digits do not dance.
+/// Two decimals, so that the digits keep their places.
 fn reading(value: f64) -> String {
     if value.abs() < 1e5 { format!("{value:.2}") } else { significant(value, 4) }
 }
 
-/// Round bounds that hold the measurement and zero; a model that runs away does not squeeze the measurement.
+/// Round bounds that contain the measurement and zero; a diverging model does not compress the measurement.
 fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> Domain {
     let values = |points: &[(f64, f64)]| range(points.iter().map(|point| point.1));
     let both = match (values(measured), values(model)) {
@@ -196,11 +196,11 @@ fn bounds(measured: &[(f64, f64)], model: &[(f64, f64)]) -> Domain {
     both.with([0.0, 0.0]).rounded()
 }
 
-fn time_axis(from_s: f64, to_s: f64, stands: Option<&str>, area: Rect, buffer: &mut Buffer) {
+fn time_axis(from_s: f64, to_s: f64, halted: Option<&str>, area: Rect, buffer: &mut Buffer) {
     let middle =
-        stands.map_or_else(|| format!("{} s", seconds(f64::midpoint(from_s, to_s))), str::to_owned);
+        halted.map_or_else(|| format!("{} s", seconds(f64::midpoint(from_s, to_s))), str::to_owned);
     let [left, right] = [from_s, to_s].map(|time_s| format!("{} s", seconds(time_s)));
-    let style = if stands.is_some() { theme::CAREFUL } else { theme::DIM };
+    let style = if halted.is_some() { theme::CAREFUL } else { theme::DIM };
     across([&left, &middle, &right], style, area, buffer);
 }
 
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn the_window_grows_then_runs_and_a_short_memory_is_shown_whole() {
+    fn the_window_grows_then_scrolls_and_few_points_fill_it() {
         let point = |time_s| TracePoint {
             time_s,
             voltage_v: 0.0,

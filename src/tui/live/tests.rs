@@ -270,7 +270,7 @@ fn press(model: &mut Model, press: Press) -> Vec<Effect> {
     model.update(Event::Press(press))
 }
 
-/// The model after these keys, and what the last of them asks for.
+/// The model after these keys, and the effects of the last one.
 fn after(mut model: Model, keys: &str) -> (Model, Vec<Effect>) {
     let effects = keys.chars().map(|key| press(&mut model, testing::key(key))).last();
     (model, effects.unwrap_or_default())
@@ -318,9 +318,9 @@ fn following(step: Step, state: StepState, again: bool) -> Model {
     let mut workflow = workflow(true);
     workflow.steps.push(StepView {
         state,
-        // What was done is done again where a command still does it: a next run, if there is one.
+        // A step that is done can be repeated while it has a command: a next run, if there is one.
         command: again.then(|| "drivebench run next.toml".to_owned()),
-        line: "none would tell more".to_owned(),
+        line: "none would distinguish more".to_owned(),
         ..StepView::new(step)
     });
     with(&model(done()), |own| drop(own.update(Event::Workflow(Arc::new(workflow)))))
@@ -331,11 +331,11 @@ const STOP_AND_QUIT: [Effect; 2] = [Effect::Send(Intent::Quit), Effect::RequestS
 const START: Effect = Effect::Send(Intent::Start);
 const RESET: Effect = Effect::Send(Intent::ResetFault);
 
-/// A state, keys, what the last of them asks for, and a part of what the screen then shows.
+/// A state, keys, the effects of the last one, and a part of what the screen then shows.
 type Row<'a> = (&'a dyn Fn() -> Model, &'a str, Vec<Effect>, &'a str);
 
 #[test]
-fn each_key_asks_for_its_effect_and_the_screen_answers() {
+fn each_key_has_its_effect_and_message() {
     use DriveState::{Fault, Ready, Running};
     use Exit::{Diagnosis, Experiment, Finished, SpeedLoop, Traces};
     use Phase::{Connecting, Safe};
@@ -343,7 +343,8 @@ fn each_key_asks_for_its_effect_and_the_screen_answers() {
     use Target::{Hardware, Sim};
     let leave = |exit| vec![Effect::Leave(exit)];
     let over = |step, state, again| finished(following(step, state, again));
-    let led = |snapshot| with(&model(snapshot), |own| own.leads = Some("back to the loop"));
+    let followed =
+        |snapshot| with(&model(snapshot), |own| own.followed_by = Some("back to the steps"));
     let mark = Effect::Send(Intent::Mark("mark 1".to_owned()));
     let (hard, none) = (|| in_phase(Some(Safe), Hardware), Vec::new);
     let rows: &[Row<'_>] = &[
@@ -353,12 +354,12 @@ fn each_key_asks_for_its_effect_and_the_screen_answers() {
         (&|| finished(model(tripped())), "q", leave(Finished), "SAFETY TRIP"),
         (&|| finished(model(hardware())), "q", leave(Finished), "output off"),
         (&|| finished(model(done())), "q", leave(Finished), "output off"),
-        (&|| led(done()), "", none(), "q quit"),
-        (&|| finished(led(done())), "", none(), "q back to the loop"),
-        (&|| finished(led(done())), "", none(), "q = back to the loop."),
-        (&|| finished(led(unsure(Phase::Done, "done"))), "", none(), "q quit"),
-        (&|| finished(led(tripped())), "", none(), "q quit"),
-        (&|| finished(led(running())), "", none(), "q quit"),
+        (&|| followed(done()), "", none(), "q quit"),
+        (&|| finished(followed(done())), "", none(), "q back to the steps"),
+        (&|| finished(followed(done())), "", none(), "q = back to the steps."),
+        (&|| finished(followed(unsure(Phase::Done, "done"))), "", none(), "q quit"),
+        (&|| finished(followed(tripped())), "", none(), "q quit"),
+        (&|| finished(followed(running())), "", none(), "q quit"),
         (&|| model(done()), "d", none(), "not yet"),
         (&|| finished(model(done())), "d", leave(Diagnosis), "d = diagnosis by hand, q = quit"),
         (&|| finished(model(done())), "v", leave(Traces), "output off"),
@@ -366,29 +367,29 @@ fn each_key_asks_for_its_effect_and_the_screen_answers() {
         (&|| commissioned(done(), true), "d", none(), "not yet"),
         (&|| finished(commissioned(done(), true)), "d", leave(Diagnosis), "EFFECT FOUND"),
         (&|| finished(commissioned(done(), false)), "d", none(), "not yet"),
-        (&|| model(done()), "x", none(), "only a commissioning goes on"),
+        (&|| model(done()), "x", none(), "only a commissioning has further steps"),
         (&|| following(Step::Experiment, Offered, false), "x", none(), "not yet"),
-        (&|| over(Step::Experiment, Waiting, false), "x", none(), "none would tell more"),
+        (&|| over(Step::Experiment, Waiting, false), "x", none(), "none would distinguish more"),
         (&|| over(Step::Experiment, Offered, false), "x", leave(Experiment), ""),
         (&|| over(Step::Experiment, Done, true), "x", leave(Experiment), ""),
-        (&|| over(Step::Experiment, Done, false), "x", none(), "none would tell more"),
-        // What came of it could not be judged: made again.
+        (&|| over(Step::Experiment, Done, false), "x", none(), "none would distinguish more"),
+        // A run that could not be judged is made again.
         (&|| over(Step::Experiment, Failed, true), "x", leave(Experiment), ""),
-        (&|| over(Step::Experiment, Failed, false), "x", none(), "none would tell more"),
+        (&|| over(Step::Experiment, Failed, false), "x", none(), "none would distinguish more"),
         (&|| over(Step::SpeedLoop, Offered, false), "l", leave(SpeedLoop), ""),
-        (&|| over(Step::SpeedLoop, Done, false), "l", none(), "none would tell more"),
+        (&|| over(Step::SpeedLoop, Done, false), "l", none(), "none would distinguish more"),
         (&|| in_phase(Some(Safe), Sim), "s", vec![START], ""),
         (&hard, "s", none(), "Shaft clear? y = start"),
         (&hard, "sy", vec![START], ""),
         (&hard, "sn", none(), "not started"),
-        (&hard, "sny", none(), "nothing was asked"),
-        (&hard, "y", none(), "nothing was asked"),
+        (&hard, "sny", none(), "there is no question to answer"),
+        (&hard, "y", none(), "there is no question to answer"),
         (&|| with_drive(Connecting, Sim, Fault), "k", vec![RESET], ""),
         (&|| with_drive(Phase::Running, Sim, Fault), "k", none(), "stop first"),
         (&|| with_drive(Safe, Sim, Ready), "k", none(), "the drive reports no fault"),
         (&|| model(running()), "m", vec![mark], "mark 1 set"),
         (&|| finished(model(running())), "m", none(), "nothing is recorded any more"),
-        (&|| model(running()), "f", none(), "FROZEN, f = go on"),
+        (&|| model(running()), "f", none(), "FROZEN, f = continue"),
         (&|| model(running()), "ff", none(), "0.0 s"),
         (&|| model(running()), "z", none(), "3.4 s"),
         (&|| model(running()), "?↓↓", none(), "help: Up Down scroll"),
@@ -414,13 +415,13 @@ fn each_key_asks_for_its_effect_and_the_screen_answers() {
 
 #[test]
 fn a_question_that_is_withdrawn_starts_nothing() {
-    let asked = pressed(in_phase(Some(Phase::Safe), Target::Hardware), "s");
+    let question = pressed(in_phase(Some(Phase::Safe), Target::Hardware), "s");
     for other in [Press::Next, Press::Click(Position::ORIGIN), Press::Wheel(1)] {
-        let mut refused = asked.clone();
+        let mut refused = question.clone();
         assert_eq!(press(&mut refused, other), []);
         assert_eq!(press(&mut refused, Press::Yes), [], "{other:?}");
     }
-    let mut late = asked;
+    let mut late = question;
     late.update(Event::Snapshot(Arc::new(tripped())));
     assert!(!late.confirm_start);
     assert_eq!(press(&mut late, Press::Yes), []);
@@ -470,17 +471,17 @@ fn a_value_that_is_gone_stays_with_its_age_until_the_run_ends() {
 }
 
 #[test]
-fn an_answer_to_a_key_gives_the_keys_back_after_a_while() {
+fn a_message_of_a_key_expires_after_a_while() {
     let mut model = model(running());
     assert!(!model.may_suspend());
     assert!(!model.message_expires() && model.message.is_some());
-    let looks = (0..1000).position(|_| model.message_expires());
-    assert!(looks.is_some_and(|looks| looks > 100), "{looks:?}");
+    let updates = (0..1000).position(|_| model.message_expires());
+    assert!(updates.is_some_and(|updates| updates > 100), "{updates:?}");
     assert_eq!(model.message, None);
 }
 
 #[test]
-fn a_lost_link_tells_how_the_search_goes_and_what_came_of_it() {
+fn a_lost_link_shows_the_search_and_its_result() {
     let mut lost = running();
     (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
     lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
@@ -519,7 +520,7 @@ fn the_report_is_shown_when_it_comes_and_only_then() {
     }
     let shown = text(&model, 80, 24);
     assert!(shown.contains("EFFECT FOUND: quadratic_load"), "{shown}");
-    // Turning away afterwards is respected.
+    // A page chosen afterwards is kept.
     model.page = Page::Live;
     report(&mut model, true);
     assert_eq!(model.page, Page::Live);
@@ -605,9 +606,9 @@ fn only_the_confirmed_start_starts_and_no_key_leaves_while_on() {
         for key in CHARACTERS.into_iter().map(|(_, press)| press).chain(more) {
             let effects = press(&mut model.clone(), key);
             if effects.contains(&START) {
-                let is_asked = key == Press::Start && !model.is_hardware();
+                let is_requested = key == Press::Start && !model.is_hardware();
                 let is_confirmed = key == Press::Yes && model.confirm_start;
-                let may_start = model.waits_for_start() && (is_asked || is_confirmed);
+                let may_start = model.waits_for_start() && (is_requested || is_confirmed);
                 assert!(may_start, "{key:?} {model:?}");
             }
             let leaves = effects.iter().any(|effect| matches!(effect, Effect::Leave(_)));
@@ -617,7 +618,7 @@ fn only_the_confirmed_start_starts_and_no_key_leaves_while_on() {
 }
 
 #[test]
-fn in_every_state_an_idle_key_says_why_and_ctrl_z_waits() {
+fn in_every_state_an_idle_key_explains_and_ctrl_z_waits() {
     for model in every_state() {
         for key in ["y", "#", "a", "e", "c", "u", "+", "→", "↓"] {
             let (after, effects) = after(model.clone(), key);
@@ -634,7 +635,7 @@ fn in_every_state_an_idle_key_says_why_and_ctrl_z_waits() {
 }
 
 #[test]
-fn q_says_stop_first_exactly_where_the_output_may_be_on() {
+fn q_requires_a_stop_exactly_where_the_output_may_be_on() {
     use Phase::{Armed, RampDown, Running, Stopping};
     for phase in phases() {
         let (mut model, effects) = after(in_phase(phase, Target::Sim), "q");

@@ -23,25 +23,25 @@ use drivebench_model::text::number::{fixed, shortest};
 const STOP: &str = " Space = STOP ";
 
 const MEANING: [&str; 5] = [
-    "The model runs free under the applied voltage: where it leaves the measurement, it misses something.",
+    "The model runs free under the applied voltage: where it departs from the measurement, an effect is missing.",
     "A bar is a parameter's standard deviation, 100 % to 0.1 % of its value; it shrinks as the data come in.",
-    "searching: still moving. settled: narrow and steady. not observable: these data do not carry it.",
+    "searching: still changing. settled: precise and steady. not observable: these data do not determine it.",
     "lost: requests without a valid reply. late: how long after its deadline a cycle began. missed: cycles left out.",
-    "The program's stop is best effort; the drive's watchdog and an emergency stop are behind it.",
+    "The program's stop is best effort; the drive's watchdog and an emergency stop are the protection.",
 ];
 
 pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     let area = frame.area();
     let buffer = frame.buffer_mut();
-    let word = if model.snapshot.trip.is_some() { "TRIP! too small" } else { "too small" };
-    let (stop, style) = stop_word(model);
-    if is_too_small(word, stop.trim(), style, area, buffer) {
+    let label = if model.snapshot.trip.is_some() { "TRIP! too small" } else { "too small" };
+    let (stop, style) = stop_label(model);
+    if is_too_small(label, stop.trim(), style, area, buffer) {
         return;
     }
     let banner = Banner::of(model);
     let step_rows = u16::from(model.workflow.is_some() && area.height >= 12);
-    let most_said = (area.height / 8).clamp(1, 3);
-    let said_rows = hint_rows(model.message.as_deref(), area.width, most_said.into());
+    let most_rows = (area.height / 8).clamp(1, 3);
+    let message_rows = hint_rows(model.message.as_deref(), area.width, most_rows.into());
     let banner_rows = banner.as_ref().map_or(0, |banner| banner.height(area.width));
     let [top, progress, step, box_area, body, bottom] = Layout::vertical([
         Constraint::Length(1),
@@ -49,7 +49,7 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
         Constraint::Length(step_rows),
         Constraint::Length(banner_rows.min(area.height - 3)),
         Constraint::Fill(1),
-        Constraint::Length(said_rows),
+        Constraint::Length(message_rows),
     ])
     .areas(area);
     top_bar(model, top, buffer);
@@ -85,12 +85,12 @@ pub(super) fn view(model: &Model, frame: &mut Frame<'_>) {
     model.help.draw(On::Live, &MEANING, under_top, buffer);
 }
 
-/// What one must always see: software or copper, phase, link, and the key that stops. What has no room is left out from
-/// the right, the stop key never.
+/// Always visible: software or hardware, phase, link, and the stop key. Items that do not fit are left out from the right,
+/// the stop key never.
 fn top_bar(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = &model.snapshot;
-    let (stop_word, stop_style) = stop_word(model);
-    let stop_width = (stop_word.len() as u16).min(area.width);
+    let (stop_label, stop_style) = stop_label(model);
+    let stop_width = (stop_label.len() as u16).min(area.width);
     let room = usize::from(area.width - stop_width);
     let mut spans: Vec<Span<'static>> = Vec::new();
     let mut used = 0;
@@ -107,11 +107,11 @@ fn top_bar(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
     Line::from(spans).render(area, buffer);
     let stop = Rect { x: area.right() - stop_width, width: stop_width, ..area };
-    Line::styled(stop_word, stop_style).render(stop, buffer);
+    Line::styled(stop_label, stop_style).render(stop, buffer);
 }
 
 /// The key that stops, for as long as there is anything to stop.
-fn stop_word(model: &Model) -> (&'static str, Style) {
+fn stop_label(model: &Model) -> (&'static str, Style) {
     match (model.is_finished(), &model.snapshot.stop_error) {
         (false, _) => (STOP, theme::ALARM),
         (true, Some(_)) => (" Stop NOT confirmed ", theme::ALARM),
@@ -125,23 +125,23 @@ fn items(snapshot: &Snapshot) -> Vec<Span<'static>> {
         None => ("STARTING".to_owned(), theme::DIM),
         Some(phase) => (phase.name().to_uppercase(), phase_style(phase)),
     };
-    // Before anything has answered, neither word would be true.
+    // Before a drive has answered, the target is not known.
     let (target, target_style) = if snapshot.phase.is_none() && snapshot.link.is_empty() {
         ("NO DRIVE YET", theme::BOLD)
     } else {
         (snapshot.target.name(), theme::target(snapshot.target))
     };
     let lost = link.sent.saturating_sub(link.ok);
-    let careful = |is: bool| if is { theme::CAREFUL } else { theme::PLAIN };
-    let (achieved_hz, asked_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
+    let careful = |is_poor: bool| if is_poor { theme::CAREFUL } else { theme::PLAIN };
+    let (achieved_hz, requested_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
     let drive = snapshot.drive_state.map_or("-", |state| state.name());
     vec![
         Span::styled(format!(" {target} "), target_style),
         Span::styled(format!(" {phase}"), phase_style),
         Span::raw(format!("drive {drive}")),
         Span::styled(
-            format!("{achieved_hz:.0}/{asked_hz:.0} Hz"),
-            careful(achieved_hz / asked_hz < 0.95),
+            format!("{achieved_hz:.0}/{requested_hz:.0} Hz"),
+            careful(achieved_hz / requested_hz < 0.95),
         ),
         Span::styled(format!("lost {lost}"), careful(lost > 0)),
         Span::raw(snapshot.link.clone()),
@@ -186,24 +186,24 @@ fn step_line(workflow: &Progress) -> Line<'static> {
     Line::from(vec![Span::styled(head, theme::BOLD), Span::raw(format!(" {}", step.line))])
 }
 
-/// The newest sentences of the bench, the newest at the bottom.
+/// The newest notices of the bench, the last at the bottom.
 fn notices(notices: &[Notice], area: Rect, buffer: &mut Buffer) {
     let newest = &notices[notices.len().saturating_sub(usize::from(area.height))..];
     for (notice, place) in newest.iter().zip(area.rows()) {
-        let word = match notice.level {
+        let label = match notice.level {
             Level::Info => "note",
             Level::Warning => "WARNING",
             Level::Error => "ERROR",
         };
-        let text = format!(" {word}: {}", notice.text);
+        let text = format!(" {label}: {}", notice.text);
         row(&Line::styled(text, theme::level(notice.level)), place, buffer);
     }
 }
 
 fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     let snapshot = model.viewed();
-    let stands = match (model.frozen.is_some(), model.is_finished()) {
-        (true, _) => Some("FROZEN, f = go on"),
+    let halted = match (model.frozen.is_some(), model.is_finished()) {
+        (true, _) => Some("FROZEN, f = continue"),
         (false, true) => Some("ENDED"),
         (false, false) => None,
     };
@@ -213,9 +213,9 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
         15..=29 => 2,
         _ => 4,
     };
-    // What is provisional while the run goes on is no result when it is over.
-    let goes_on = !model.is_finished() && model.snapshot.phase.is_some_and(Phase::is_recorded);
-    let rank_rows = u16::from(goes_on && area.height >= 9);
+    // A provisional ranking is not a result of the run.
+    let is_recorded = !model.is_finished() && model.snapshot.phase.is_some_and(Phase::is_recorded);
+    let rank_rows = u16::from(is_recorded && area.height >= 9);
     let [body, ranking, bottom] = Layout::vertical([
         Constraint::Fill(1),
         Constraint::Length(rank_rows),
@@ -227,13 +227,13 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     }
     notices(&model.snapshot.notices, bottom, buffer);
     if area.width < 72 || body.height < 15 {
-        scope(snapshot, model.window_s(), stands, body, buffer);
+        scope(snapshot, model.window_s(), halted, body, buffer);
         return;
     }
     let side = if area.width >= 110 { 48 } else { 33 };
     let [left, right] =
         Layout::horizontal([Constraint::Fill(1), Constraint::Length(side)]).areas(body);
-    scope(snapshot, model.window_s(), stands, left, buffer);
+    scope(snapshot, model.window_s(), halted, left, buffer);
     let count = (snapshot.estimates.len() as u16).min(300);
     let rows_of = |each: u16| count.saturating_mul(each).max(5) + 2;
     let has_room = |rows: &u16| rows + LINK_HEIGHT <= body.height;
@@ -325,12 +325,12 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
             Span::styled(format!("{title:<title_width$}  "), theme::BOLD),
         ];
         let is_narrow = width < 60;
-        let beside: usize = head.iter().map(Span::width).sum();
-        // In a narrow list the figure of a step stands below its title.
-        let indent = if is_narrow { 4 } else { beside };
+        let head_width: usize = head.iter().map(Span::width).sum();
+        // In a narrow list the figure of a step is below its title.
+        let indent = if is_narrow { 4 } else { head_width };
         let room = width.saturating_sub(indent).max(10);
-        let said = Some(&step.line).filter(|text| !text.is_empty());
-        let mut lines = said.map_or_else(Vec::new, |text| wrapped(text, room)).into_iter();
+        let line = Some(&step.line).filter(|text| !text.is_empty());
+        let mut lines = line.map_or_else(Vec::new, |text| wrapped(text, room)).into_iter();
         if !is_narrow {
             head.extend(lines.next().map(Span::raw));
         }
@@ -343,7 +343,7 @@ fn step_lines(model: &Model, workflow: &Progress, width: usize) -> Vec<Line<'sta
     let mut lines = Vec::new();
     if let Some(document) = &workflow.report {
         lines.extend(document_lines(document.rows(width.saturating_sub(2))));
-        // What it came to, then how, and what can follow.
+        // The result, then the steps.
         lines.push(Line::default());
     }
     lines.extend(steps);
@@ -358,14 +358,14 @@ struct Banner {
 }
 
 impl Banner {
-    /// The most urgent thing there is to say, if any.
+    /// The most urgent message, if any.
     fn of(model: &Model) -> Option<Self> {
         let snapshot = &model.snapshot;
         let (is_over, is_lost) = (model.is_finished(), snapshot.phase == Some(Phase::LinkLost));
         let quit = model.quit_label();
         let end = match (is_over, &snapshot.stop_error) {
             (false, _) => String::new(),
-            (true, None) if model.can_diagnose() && model.leads.is_none() => {
+            (true, None) if model.can_diagnose() && model.followed_by.is_none() => {
                 format!(" Output off. d = diagnosis by hand, q = {quit}.")
             }
             (true, None) => format!(" Output off, q = {quit}."),
@@ -379,7 +379,7 @@ impl Banner {
         let confirmed = stop.and_then(|stop| stop.confirmed_after_ms);
         let confirmed =
             confirmed.map_or_else(String::new, |ms| format!("; zero confirmed after {ms:.0} ms"));
-        // What was found and its limit, and when and how the output came to be off.
+        // The reason, and when and how the output was switched off.
         let stopped = |reason: &str| {
             let head = if at.is_empty() { String::new() } else { format!("stopped{at}: ") };
             format!("{head}{reason}{confirmed}.{end}")
@@ -401,9 +401,9 @@ impl Banner {
             ("LINK LOST", stopped(reason), theme::ALARM)
         } else {
             let (title, text, style) = match snapshot.outcome.filter(|_| is_over)? {
-                // The page has the result of the loop, its top bar the output.
+                // The page has the result of the commissioning, its top bar the output.
                 "done" if model.shows_report() && snapshot.stop_error.is_none() => return None,
-                "done" => ("DONE", "The run went to its end", theme::GOOD),
+                "done" => ("DONE", "The run was completed", theme::GOOD),
                 "stopped" => ("STOPPED", "The run was stopped", theme::CAREFUL),
                 "interrupted" => ("INTERRUPTED", "The run was interrupted", theme::CAREFUL),
                 "not_started" => ("NOT STARTED", "The run was not started", theme::CAREFUL),
@@ -489,7 +489,7 @@ fn parameters(model: &Model, area: Rect, buffer: &mut Buffer) {
     rows(&lines, inner, buffer);
 }
 
-/// That nothing is learnt now, and for how long so far.
+/// That the estimates are frozen, and for how long.
 fn frozen_text(model: &Model, is_wide: bool) -> Option<String> {
     let frozen = model.viewed().frozen;
     frozen.since_s?;
@@ -553,7 +553,7 @@ fn with_bar(mut line: Line<'static>, share: Option<f64>, width: u16) -> Line<'st
     }
 }
 
-/// The third row: how far the data carry the parameter.
+/// The third row: how well the data determine the parameter.
 fn excitation_line(share: Option<f64>, width: u16) -> Line<'static> {
     // In one column with the bar of the uncertainty.
     const HEAD: &str = "   excited   ";

@@ -1,5 +1,5 @@
-//! The page of the frequency response: magnitude, phase and coherence over one logarithmic axis, the model's beside them; and
-//! the screen that shows nothing else.
+//! The page of the frequency response: magnitude, phase and coherence of measurement and model over one logarithmic axis; and
+//! a screen for this page alone.
 //!
 //! ```text
 //! Compared (measured, model, where they differ) --> ResponsePage: which pathway, cursor --> view: three panels, one axis
@@ -87,12 +87,12 @@ impl ResponseScreen {
     pub fn new(
         title: String,
         compared: Compared,
-        asked: Option<Pathway>,
+        chosen: Option<Pathway>,
         hang_up: Arc<AtomicBool>,
     ) -> Self {
         let mut page = ResponsePage::default();
         page.take(compared);
-        page.chosen = asked;
+        page.chosen = chosen;
         Self { title, page, help: Help::default(), message: None, hang_up }
     }
 }
@@ -125,7 +125,7 @@ impl Screen for ResponseScreen {
     }
 
     fn may_suspend(&mut self) -> bool {
-        // Nothing is energised, and nothing works.
+        // Nothing is energised, and no work is under way.
         true
     }
 

@@ -100,7 +100,7 @@ fn text(screen: &ResponseScreen, size: (u16, u16)) -> String {
     testing::terminal(size, |frame| screen.draw(frame)).backend().to_string()
 }
 
-/// Measurement alone, with nothing carried in it.
+/// Measurement alone, without a carried point.
 fn nothing_carried() -> Compared {
     let mut compared = compared();
     let measured = &mut compared.measured;
@@ -139,7 +139,7 @@ fn tab_goes_through_the_pathways_and_the_cursor_stays() {
         assert_eq!(screen.press(Press::Cursor(1)), None);
     }
     assert!(shown(&screen).contains("not carried"));
-    // The first takes the cursor away, the second leaves.
+    // The first removes the cursor, the second closes the screen.
     assert_eq!(screen.press(Press::Stop), None);
     assert_eq!(screen.press(Press::Stop), Some(Exit::Finished));
     assert_eq!(screen.press(Press::Quit), Some(Exit::Finished));

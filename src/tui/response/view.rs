@@ -16,9 +16,9 @@ use crate::tui::theme;
 use drivebench_identify::frequency_response::{Compared, Departure, PathwayResponse};
 
 const MEANING: [&str; 3] = [
-    "Solid: measured, where the excitation carries it; dotted: its 95 % interval. Dashed: the model, by the same estimator.",
-    "Coherence: share of what was measured that the voltage explains; below 0.8 a point is not carried.",
-    "A resonance is named only where it is known well enough: none named is not none there.",
+    "Solid: measured, where it is carried; dotted: its 95 % interval. Dashed: the model, by the same estimator.",
+    "Coherence: share of the measured signal that the voltage explains. A point is carried (used) from 0.8 on.",
+    "A resonance is listed only where it is significant: there may be others.",
 ];
 
 pub(super) fn screen(screen: &ResponseScreen, frame: &mut Frame<'_>) {
@@ -51,11 +51,11 @@ pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer)
         return;
     };
     let all = compared.measured.pathways.len();
-    let place = match all {
+    let choice = match all {
         1 => String::new(),
         all => format!("Tab: one of {all} pathways"),
     };
-    let inner = titled_with(own.pathway.name(), &place, area, buffer);
+    let inner = titled_with(own.pathway.name(), &choice, area, buffer);
     if inner.height < 3 || inner.width < LABELS + 4 {
         return;
     }
@@ -72,23 +72,23 @@ pub(in crate::tui) fn view(page: &ResponsePage, area: Rect, buffer: &mut Buffer)
     axis_chart::axis_chart(&chart, cursor, below, buffer);
 }
 
-/// Modes, then where the model departs, then what limits it: what matters most first.
+/// Modes, then departures of the model, then cautions.
 fn findings(compared: &Compared, own: &PathwayResponse) -> Vec<(String, Style)> {
     let measured = &compared.measured;
     let modes = measured.modes_of(own.pathway);
-    let mut said = Vec::new();
+    let mut texts = Vec::new();
     if own.bands_hz().is_empty() {
-        said.push((
-            "the excitation carries no frequency of this pathway".to_owned(),
+        texts.push((
+            "no frequency of this pathway has sufficient coherence".to_owned(),
             theme::CAREFUL,
         ));
     } else if modes.is_empty() {
-        said.push(("no resonance is named where it is carried".to_owned(), theme::PLAIN));
+        texts.push(("no resonance at sufficient coherence".to_owned(), theme::PLAIN));
     }
-    said.extend(modes.iter().map(|mode| (mode.text(), theme::BOLD)));
+    texts.extend(modes.iter().map(|mode| (mode.text(), theme::BOLD)));
     let bands = compared.departures.iter().filter(|band| band.pathway == own.pathway);
-    said.extend(bands.map(|band: &Departure| (band.sentence(), theme::BAD)));
-    said.extend(measured.cautions.iter().cloned().map(|caution| (caution, theme::CAREFUL)));
-    said.push((measured.rate_sentence(), theme::DIM));
-    said
+    texts.extend(bands.map(|band: &Departure| (band.sentence(), theme::BAD)));
+    texts.extend(measured.cautions.iter().cloned().map(|caution| (caution, theme::CAREFUL)));
+    texts.push((measured.rate_sentence(), theme::DIM));
+    texts
 }

@@ -39,7 +39,7 @@ pub(super) enum Shows {
     Residual,
 }
 
-/// One panel: a signal of the run by its place, and what of it.
+/// One panel: a signal of the run by its index, and what of it.
 pub(super) type Panel = (usize, Shows);
 
 /// Where a run that did not go to its end was stopped, and how in a few words.
@@ -59,10 +59,10 @@ pub(super) struct TracesPage {
     traces: Option<Arc<Traces>>,
     /// Of the model before the last change.
     before: Option<Arc<Traces>>,
-    /// The two have changed places: that of before is the one that is looked at.
+    /// The two are swapped: the traces of the model before the change are shown.
     is_before: bool,
     run: usize,
-    /// Panels that the person chose; none before, when there are those that fit.
+    /// Panels that the user chose; `None`: those that fit.
     chosen: Option<Vec<Panel>>,
     /// Shown part of the run, s; `None`: the whole of it.
     window_s: Option<(f64, f64)>,
@@ -92,13 +92,13 @@ impl TracesPage {
         if let Some(run) = traces.runs.iter().position(|own| own.run == stop.run) {
             self.run = run;
             let to_s = traces.runs[run].span_s().1.min(stop.at_s + 1.0);
-            // Two seconds before the stop and one behind it.
+            // Two seconds before the stop and one after it.
             let from_s = stop.at_s - 2.0;
             self.cursor_s = Some(stop.at_s.min(to_s));
             self.set_window(f64::midpoint(from_s, to_s), to_s - from_s);
             let panels = self.panels();
-            let is_first = |(place, _): &Panel| {
-                let quantity = traces.runs[run].signals[*place].quantity;
+            let is_first = |(index, _): &Panel| {
+                let quantity = traces.runs[run].signals[*index].quantity;
                 stop.shows.is_some_and(|channel| quantity == Quantity::Channel(channel))
             };
             let rest = first_panels(&panels).into_iter().filter(|panel| !is_first(panel));
@@ -110,7 +110,7 @@ impl TracesPage {
         }
     }
 
-    /// Looks at the model before the last change, with the one after it drawn in its place; or back.
+    /// Shows the model before the last change, with the one after it as the other; or back.
     pub(super) fn set_before(&mut self, before: bool) {
         if before != self.is_before && self.before.is_some() {
             std::mem::swap(&mut self.traces, &mut self.before);
@@ -149,12 +149,12 @@ impl TracesPage {
         signals.find(|own: &&SignalTrace| own.quantity == signal.quantity && own.has_model())
     }
 
-    /// Everything that can be shown of the run, in the order in which it is.
+    /// All panels of the run, in the order of its signals.
     fn panels(&self) -> Vec<Panel> {
         let signals = self.run().map_or(&[][..], |run| &run.signals);
-        let of = |(place, signal): (usize, &SignalTrace)| {
-            let residual = signal.has_model().then_some((place, Shows::Residual));
-            std::iter::once((place, Shows::Both)).chain(residual)
+        let of = |(index, signal): (usize, &SignalTrace)| {
+            let residual = signal.has_model().then_some((index, Shows::Residual));
+            std::iter::once((index, Shows::Both)).chain(residual)
         };
         signals.iter().enumerate().flat_map(of).collect()
     }
@@ -264,7 +264,7 @@ impl TracesPage {
         self.cursor_s = Some(at_s.clamp(first_s, last_s));
     }
 
-    /// Goes to the next of the places where the first signal with a model is met worst.
+    /// Goes to the next of the largest errors of the first signal with a model.
     fn worst(&mut self) {
         let places = self.run().and_then(|run| {
             Some(run.signals.iter().find(|signal| signal.has_model())?.worst_places(60))
@@ -278,15 +278,15 @@ impl TracesPage {
         }
     }
 
-    /// The keys of the page, the first first.
+    /// The keys of the page, by priority.
     pub(super) const KEYS: &'static str =
         "j worst place|+ - zoom|, . pan|Left Right cursor|o signals|Tab other run";
 }
 
-/// What is shown before a person has chosen: all that the model gives, with its residual.
+/// The panels before a choice: all signals of the model, with their residuals.
 fn first_panels(panels: &[Panel]) -> Vec<Panel> {
-    let has_residual = |place: usize| panels.contains(&(place, Shows::Residual));
+    let has_residual = |index: usize| panels.contains(&(index, Shows::Residual));
     let of_the_model: Vec<Panel> =
-        panels.iter().filter(|(place, _)| has_residual(*place)).copied().collect();
+        panels.iter().filter(|(index, _)| has_residual(*index)).copied().collect();
     if of_the_model.is_empty() { panels.to_vec() } else { of_the_model }
 }

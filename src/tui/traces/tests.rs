@@ -104,7 +104,7 @@ fn j_goes_round_the_worst_places_each_under_the_cursor() {
 }
 
 #[test]
-fn the_cursor_goes_on_into_what_is_not_in_sight() {
+fn the_cursor_moves_the_window_along() {
     let mut page = pressed(page(), "+");
     for _ in 0..400 {
         page = pressed(page, "→");

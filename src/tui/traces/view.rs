@@ -20,7 +20,7 @@ use drivebench_model::text::number::{MISSING, significant};
 
 /// Standard deviations of the noise that the band holds, and from which on a residual is marked.
 const BAND_SIGMAS: f64 = 2.0;
-/// What the axis of a panel without a value holds.
+/// The axis of a panel without a value.
 const NOTHING: Domain = Domain { from: 0.0, to: 1.0 };
 
 pub(in crate::tui) fn view(page: &TracesPage, area: Rect, buffer: &mut Buffer) {
@@ -124,7 +124,7 @@ fn window_points(
         }
         steps.push((time_s, value));
     }
-    // It holds on.
+    // The last value is held to the end of the window.
     if let Some((_, held)) = steps.last().copied() {
         steps.push((to_s, held));
     }
@@ -196,7 +196,7 @@ fn panel(
     plot(&traces, bounds, inner, buffer);
 }
 
-/// A line through points that may have gaps, those of a held signal apart.
+/// A line through points, with gaps unless the signal is held between samples.
 fn line(signal: &SignalTrace, points: Vec<(f64, f64)>, stroke: Stroke, style: Style) -> Trace {
     let longest_s = if signal.is_held {
         f64::INFINITY
@@ -206,7 +206,7 @@ fn line(signal: &SignalTrace, points: Vec<(f64, f64)>, stroke: Stroke, style: St
     Trace { longest_s, ..Trace::new(points, stroke, style) }
 }
 
-/// While a change is drawn, the place up to which the new model is; beyond it is the old one.
+/// The time up to which the new model is drawn while a change is shown; beyond it is the old one.
 fn border_s(page: &TracesPage) -> f64 {
     let (from_s, to_s) = page.window_s();
     from_s + page.drawn_share() * (to_s - from_s)
@@ -240,17 +240,17 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
             format!(" {}", reading(at_cursor(signal, values, at_s)))
         })
     };
-    let word = |long: &'static str, short: &'static str| if is_wide { long } else { short };
+    let label = |long: &'static str, short: &'static str| if is_wide { long } else { short };
     let mut legend = |stroke: Stroke, name: &str, values: &[f64], style| {
         let text = format!("  {} {name}{}", stroke.sample(), cursor(values));
         title.push_span(Span::styled(text, style));
     };
-    let measured_word = match signal.quantity {
-        Quantity::Channel(channel) if channel.is_commanded() => word("commanded", "cmd"),
-        Quantity::Channel(_) => word("measured", "meas"),
-        Quantity::Estimate(_) => word("estimated on line", "est"),
+    let measured_label = match signal.quantity {
+        Quantity::Channel(channel) if channel.is_commanded() => label("commanded", "cmd"),
+        Quantity::Channel(_) => label("measured", "meas"),
+        Quantity::Estimate(_) => label("estimated on line", "est"),
     };
-    legend(Stroke::Solid, measured_word, &signal.measured, style);
+    legend(Stroke::Solid, measured_label, &signal.measured, style);
     if !signal.std.is_empty() {
         let half: Vec<f64> = signal.std.iter().map(|std| BAND_SIGMAS * std).collect();
         legend(Stroke::Dotted, "± 2 std", &half, theme::DIM);
@@ -259,9 +259,9 @@ fn both(page: &TracesPage, signal: &SignalTrace, is_wide: bool) -> Drawn {
         legend(Stroke::Dashed, "model", &signal.model, theme::MODEL);
         if let Some(old) = old {
             let name = if page.is_before {
-                word("model after the change", "after")
+                label("model after the change", "after")
             } else {
-                word("model before the change", "before")
+                label("model before the change", "before")
             };
             legend(Stroke::Dotted, name, &old.model, theme::DIM);
         }

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! The limit of a parameter is a prediction interval for one more run of the same machine (Hahn and Meeker 1991): its own
-//! interval and that of the runs, or what the runs differ by where that is more. A figure without an interval is limited to
+//! interval and that of the runs, or the spread of the runs where that is larger. A figure without an interval is limited to
 //! the worst of the runs and a margin.
 
 use std::collections::BTreeMap;
@@ -24,11 +24,12 @@ struct Margins {
     false_alarms: f64,
     /// Of a parameter whatever its interval: copper that is 5 K warmer has 2 % more resistance.
     at_least_percent: f64,
-    /// Quantile of chance beyond which the spread of the runs is the machine's, not that of their intervals.
+    /// Quantile of the chi-square distribution beyond which the spread of the runs is that of the machine, not of their
+    /// intervals.
     by_chance: f64,
     /// Factor on the worst held-out error.
     error: f64,
-    /// Effects beyond those that were not shown in the runs: which of them just shows is chance.
+    /// Further effects that may be not shown, beyond those of the runs: which of them is just detected varies.
     not_shown: usize,
 }
 
@@ -79,9 +80,9 @@ pub struct GoldenRun {
     pub seed: Option<u64>,
 }
 
-/// Where the machine of the runs is found again.
+/// Where the suite finds the machine of the runs.
 #[derive(Clone, Debug, Default)]
-pub struct Place {
+pub struct SuiteTarget {
     /// Bench file, from the folder of the suite.
     pub bench: String,
     /// The same of the software drive; none where the drive is real.
@@ -106,20 +107,20 @@ pub struct Golden {
     pub limits: Vec<GoldenLimit>,
 }
 
-/// Why a run is not what a machine should be held to: headline and help.
+/// Why a run cannot set limits: headline and help.
 pub type Refused = (String, String);
 
 /// Writes the suite of runs that are of one machine on one bench.
-pub fn golden(name: &str, runs: &[GoldenRun], place: &Place) -> Result<Golden, Refused> {
+pub fn golden(name: &str, runs: &[GoldenRun], target: &SuiteTarget) -> Result<Golden, Refused> {
     let mut cases: BTreeMap<&'static str, Vec<&GoldenRun>> = BTreeMap::new();
     for run in runs {
         cases.entry(admit(run)?).or_default().push(run);
     }
     let names = runs.iter().map(|run| format!("#   {}", run.name));
     let mut text = format!(
-        "# A machine as it was, held to what it was found to be: by `drivebench init --suite` from\n{}\n\
-         # Where the intervals of the parameters hold, one case in {} fails by chance. More runs, on different days,\n\
-         # make the limits those of the machine and not of one day.\n\n\
+        "# Limits of a machine from its runs, by `drivebench init --suite`:\n{}\n\
+         # Where the intervals of the parameters are right, one case in {} fails by chance. More runs, on different days,\n\
+         # include the variation from day to day in the limits.\n\n\
          name = {}\n",
         names.collect::<Vec<_>>().join("\n"),
         MARGINS.false_alarms,
@@ -132,7 +133,7 @@ pub fn golden(name: &str, runs: &[GoldenRun], place: &Place) -> Result<Golden, R
             "speed" => response_limits(&runs),
             _ => parameter_limits(verb, &runs)?,
         };
-        write_case(&mut text, verb, &runs, place, &own);
+        write_case(&mut text, verb, &runs, target, &own);
         limits.extend(own);
     }
     Ok(Golden { text, limits })
@@ -142,15 +143,15 @@ fn refused<T>(run: &GoldenRun, what: &str, help: &str) -> Result<T, Refused> {
     Err((format!("{}: {what}", run.name), help.to_owned()))
 }
 
-/// The verb of a run to which a machine may be held.
+/// The verb of a run that can set limits.
 fn admit(run: &GoldenRun) -> Result<&'static str, Refused> {
     if !run.is_whole {
-        let help = "a machine is held to runs that ended by themselves; record it again";
-        return refused(run, "the record is not whole", help);
+        let help = "limits are set by runs that ended by themselves; record it again";
+        return refused(run, "the record is incomplete", help);
     }
     let outcome = run.outcome.as_deref().unwrap_or("no outcome");
     if outcome != "passed" {
-        let help = "a machine is held to runs that passed; record it again";
+        let help = "limits are set by runs that passed; record it again";
         return refused(run, &format!("it ended with {outcome:?}"), help);
     }
     let what = "its result is of no commissioning, run or speed loop";
@@ -160,7 +161,7 @@ fn admit(run: &GoldenRun) -> Result<&'static str, Refused> {
 
 fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     let case = "commission";
-    // One value per run, or the key is none to hold a machine to.
+    // One value per run, else the key has no limit.
     let of = |key: &str| -> Option<Vec<Value>> {
         runs.iter().map(|run| find(&run.result, key)).collect()
     };
@@ -183,19 +184,23 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             "give runs of one machine in one state, or those alone that are right".to_owned(),
         ));
     }
-    let what = "what the diagnosis said of every run".to_owned();
+    let what = "the diagnosis of every run".to_owned();
     match &effects.iter().map(|name| quoted(name)).collect::<Vec<_>>()[..] {
         [] => {
             limit("verdict", quoted(verdict), what);
             if of("sufficient").is_some_and(|all| all.iter().all(|own| *own == true)) {
-                limit("sufficient", "true".to_owned(), "no error was left".to_owned());
+                limit(
+                    "sufficient",
+                    "true".to_owned(),
+                    "no error above the noise was left".to_owned(),
+                );
             }
-            // Which effect a run just shows differs from run to run: one without reserve is no promise for the next.
+            // Which effect a run just shows varies from run to run, so that the next run may show fewer.
             let open = of("not_shown").unwrap_or_default();
             if let Some(most) = open.iter().filter_map(Value::as_array).map(Vec::len).max() {
                 let more = MARGINS.not_shown;
                 let reason = format!(
-                    "{most} effects at most were neither named nor ruled out; which of them a run just shows is chance, so {more} more may be"
+                    "{most} effects at most were neither named nor ruled out; which of them a run just shows varies, so that {more} more are allowed"
                 );
                 limit("not_shown", quoted(&format!("<= {}", most + more)), reason);
             }
@@ -223,15 +228,15 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
 /// to run of one machine.
 type Answer = (String, Vec<String>);
 
-/// The answer of a run, where one more run may be held to it.
+/// The diagnosis of a run, where it can set a limit.
 fn answer(run: &GoldenRun) -> Result<Answer, Refused> {
     let Some(Value::String(verdict)) = find(&run.result, "verdict") else {
-        let help = "a machine is held to runs that were diagnosed; record it again";
+        let help = "limits are set by runs that were diagnosed; record it again";
         return refused(run, "its diagnosis has no verdict", help);
     };
     if verdict == "effect" && find(&run.result, "confirm.confirmed") == Some(Value::Bool(false)) {
-        let what = "its confirming run speaks against what its diagnosis named";
-        return refused(run, what, "a machine is held to what was confirmed; record it again");
+        let what = "its confirming run contradicts its diagnosis";
+        return refused(run, what, "limits are set by confirmed diagnoses; record it again");
     }
     let effects = find(&run.result, "effects");
     let names = effects.iter().filter_map(Value::as_array).flatten();
@@ -252,7 +257,7 @@ fn parameter_limits(case: &'static str, runs: &[&GoldenRun]) -> Result<Vec<Golde
         let names: Vec<&str> = runs.iter().map(|run| run.name.as_str()).collect();
         return Err((
             format!("no parameter was settled in every one of {}", names.join(", ")),
-            "a longer or stronger sequence tells more; `drivebench plan` says what can be observed"
+            "a longer or stronger sequence determines more; `drivebench plan` shows what is observable"
                 .to_owned(),
         ));
     }
@@ -296,14 +301,13 @@ fn parameter_limit(case: &'static str, runs: &[&Estimate], level: f64) -> Golden
     let by_chance = ChiSquared::new(freedom.max(1.0)).map_or(f64::INFINITY, |chi| {
         own * (chi.inverse_cdf(MARGINS.by_chance) / freedom.max(1.0)).sqrt()
     });
-    // From two numbers that differ by more than their intervals the next is uncertain: Student's quantile has how
-    // little.
+    // Few runs that differ by more than their intervals: the quantile of Student's distribution.
     let (std, factor, whose) = if between > by_chance {
         (
             between,
             StudentsT::new(0.0, 1.0, freedom)
                 .map_or(f64::INFINITY, |t| t.inverse_cdf(1.0 - level / 2.0)),
-            "what the runs differ by",
+            "the spread of the runs",
         )
     } else {
         (own.max(between), Normal::standard().inverse_cdf(1.0 - level / 2.0), "its interval")
@@ -314,18 +318,18 @@ fn parameter_limit(case: &'static str, runs: &[&Estimate], level: f64) -> Golden
     let least = percent / 100.0 * around.abs();
     let width = statistical.max(least);
     let unit = &runs[0].unit;
-    let seen = if values.len() > 1 {
+    let found = if values.len() > 1 {
         format!("{} {unit}, mean of {count} runs", with_std(around, std))
     } else {
         format!("{} {unit}", with_std(around, std))
     };
     let reason = if statistical >= least {
         format!(
-            "{seen}; {} standard deviations, from {whose}, for one more run",
+            "{found}; {} standard deviations, from {whose}, for one more run",
             significant(factor, 3)
         )
     } else {
-        format!("{seen}; {percent} %, more than chance takes it")
+        format!("{found}; {percent} %, more than the variation by chance")
     };
     GoldenLimit {
         case,
@@ -363,20 +367,20 @@ fn write_case(
     text: &mut String,
     verb: &str,
     runs: &[&GoldenRun],
-    place: &Place,
+    target: &SuiteTarget,
     limits: &[GoldenLimit],
 ) {
     let _ = write!(
         text,
         "\n[[case]]\nname = {}\ntags = [\"golden\"]\nbench = {}\n",
-        quoted(&format!("{verb}: the machine is as it was")),
-        quoted(&place.bench)
+        quoted(&format!("{verb}: the machine has not changed")),
+        quoted(&target.bench)
     );
-    if let Some(emulator) = &place.emulator {
+    if let Some(emulator) = &target.emulator {
         let _ = writeln!(text, "emulator = {}", quoted(emulator));
     }
-    let _ = writeln!(text, "port = {}", quoted(&place.port));
-    if let Some(seed) = place.seed {
+    let _ = writeln!(text, "port = {}", quoted(&target.port));
+    if let Some(seed) = target.seed {
         let _ =
             writeln!(text, "# The specimen of the software drive, and its noise.\nseed = {seed}");
     }
@@ -427,13 +431,17 @@ mod tests {
         }
     }
 
-    fn place() -> Place {
-        Place { bench: "bench.toml".to_owned(), port: "sim:".to_owned(), ..Place::default() }
+    fn target() -> SuiteTarget {
+        SuiteTarget {
+            bench: "bench.toml".to_owned(),
+            port: "sim:".to_owned(),
+            ..SuiteTarget::default()
+        }
     }
 
     /// Half the width of the limit of the resistance, in ohm.
     fn width(runs: &[GoldenRun]) -> f64 {
-        let made = golden("m", runs, &place()).unwrap();
+        let made = golden("m", runs, &target()).unwrap();
         assert_eq!(made.limits.len(), 1, "what is not settled is no limit");
         let table: toml::Table =
             toml::from_str(&format!("limit = {}", made.limits[0].limit)).unwrap();
@@ -459,13 +467,13 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_is_not_whole_or_tripped_is_not_held_to() {
+    fn an_incomplete_or_tripped_run_sets_no_limits() {
         let refused = |change: fn(&mut GoldenRun)| {
             let mut own = run("runs/a", 1.0, 0.1);
             change(&mut own);
-            golden("m", &[run("runs/b", 1.0, 0.1), own], &place()).unwrap_err().0
+            golden("m", &[run("runs/b", 1.0, 0.1), own], &target()).unwrap_err().0
         };
-        assert!(refused(|run| run.is_whole = false).contains("runs/a: the record is not whole"));
+        assert!(refused(|run| run.is_whole = false).contains("runs/a: the record is incomplete"));
         let trip = refused(|run| run.outcome = Some("safety trip: over-speed".to_owned()));
         assert!(trip.contains("safety trip: over-speed"), "{trip}");
         assert!(refused(|run| run.result = json!({})).contains("no commissioning"));
@@ -487,14 +495,14 @@ mod tests {
     }
 
     /// The limits but for those of the parameters.
-    fn held_to(runs: &[GoldenRun]) -> Result<Vec<(String, String)>, String> {
-        let made = golden("m", runs, &place()).map_err(|(what, _)| what)?;
+    fn limits_of(runs: &[GoldenRun]) -> Result<Vec<(String, String)>, String> {
+        let made = golden("m", runs, &target()).map_err(|(what, _)| what)?;
         let all = made.limits.into_iter().map(|own| (own.key, own.limit));
         Ok(all.filter(|(key, _)| key != "resistance_ohm").collect())
     }
 
     #[test]
-    fn what_runs_agree_on_is_held_to_whatever_they_could_rule_out() {
+    fn a_common_diagnosis_of_the_runs_sets_limits() {
         let texts = |all: &[(&str, &str)]| -> Vec<(String, String)> {
             all.iter().map(|(key, limit)| ((*key).to_owned(), (*limit).to_owned())).collect()
         };
@@ -507,40 +515,40 @@ mod tests {
             ])
         };
         let of = |open| diagnosed("none", &[], open);
-        // Without reserve or with it: the next run may leave an effect open.
-        assert_eq!(held_to(&[of(0), of(0)]).unwrap(), nothing("\"<= 3\""));
-        assert_eq!(held_to(&[of(0), of(2)]).unwrap(), nothing("\"<= 5\""));
-        assert_eq!(held_to(&[of(1), of(2)]).unwrap(), nothing("\"<= 5\""));
+        // Whether the runs leave effects open or not: the next run may leave some open.
+        assert_eq!(limits_of(&[of(0), of(0)]).unwrap(), nothing("\"<= 3\""));
+        assert_eq!(limits_of(&[of(0), of(2)]).unwrap(), nothing("\"<= 5\""));
+        assert_eq!(limits_of(&[of(1), of(2)]).unwrap(), nothing("\"<= 5\""));
         let named =
-            |effects: &[&str]| held_to(&[diagnosed("effect", effects, 0)]).unwrap()[0].clone();
+            |effects: &[&str]| limits_of(&[diagnosed("effect", effects, 0)]).unwrap()[0].clone();
         assert_eq!(named(&["cogging"]).1, "\"cogging\"");
         assert_eq!(named(&["b", "a"]).1, "[\"a\", \"b\"]");
-        assert_eq!(held_to(&[diagnosed("unexplained", &[], 0)]).unwrap()[0].1, "\"unexplained\"");
-        // What one of them does not say of itself is no limit.
-        let mut silent = of(0);
-        silent.result["diagnosis"].as_object_mut().unwrap().remove("sufficient");
-        silent.result["diagnosis"].as_object_mut().unwrap().remove("holdout_after");
+        assert_eq!(limits_of(&[diagnosed("unexplained", &[], 0)]).unwrap()[0].1, "\"unexplained\"");
+        // A key that one of them lacks has no limit.
+        let mut incomplete = of(0);
+        incomplete.result["diagnosis"].as_object_mut().unwrap().remove("sufficient");
+        incomplete.result["diagnosis"].as_object_mut().unwrap().remove("holdout_after");
         let keys: Vec<String> =
-            held_to(&[silent, of(0)]).unwrap().into_iter().map(|(key, _)| key).collect();
+            limits_of(&[incomplete, of(0)]).unwrap().into_iter().map(|(key, _)| key).collect();
         assert_eq!(keys, ["verdict", "not_shown"]);
     }
 
     #[test]
-    fn runs_that_do_not_agree_are_no_machine_to_hold_to() {
+    fn runs_that_do_not_agree_set_no_limits() {
         let nothing = diagnosed("none", &[], 1);
         let unknown = diagnosed("unexplained", &[], 0);
         let cogging = diagnosed("effect", &["cogging"], 0);
         for other in [&unknown, &cogging] {
-            let told = held_to(&[nothing.clone(), other.clone()]).unwrap_err();
-            assert!(told.contains("do not agree"), "{told}");
+            let refusal = limits_of(&[nothing.clone(), other.clone()]).unwrap_err();
+            assert!(refusal.contains("do not agree"), "{refusal}");
         }
-        let mut silent = nothing.clone();
-        silent.result["diagnosis"] = Value::Null;
-        let told = held_to(&[nothing, silent]).unwrap_err();
-        assert!(told.contains("no verdict"), "{told}");
+        let mut incomplete = nothing.clone();
+        incomplete.result["diagnosis"] = Value::Null;
+        let refusal = limits_of(&[nothing, incomplete]).unwrap_err();
+        assert!(refusal.contains("no verdict"), "{refusal}");
         let mut refuted = cogging;
         refuted.result["diagnosis"]["confirm"] = json!({ "confirmed": false });
-        let told = held_to(&[refuted]).unwrap_err();
-        assert!(told.contains("speaks against"), "{told}");
+        let refusal = limits_of(&[refuted]).unwrap_err();
+        assert!(refusal.contains("contradicts"), "{refusal}");
     }
 }

@@ -70,7 +70,7 @@ fn with_details(element: &str, kind: &str, reason: &str, case: &CaseOutcome) -> 
     )
 }
 
-/// Text as XML holds it, in an attribute and between tags; characters that it has no place for are left out.
+/// Text escaped for XML, in an attribute and between tags; characters that XML does not allow are left out.
 fn escaped(text: &str) -> String {
     let mut escaped = String::with_capacity(text.len());
     for letter in text.chars() {
@@ -115,7 +115,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_case_may_be_called_anything(name in any::<String>(), reason in "[\\PC<>&\"'\\]\n\t\u{0}-\u{1f}\u{fffe}]{0,40}") {
+        fn a_case_may_have_any_name(name in any::<String>(), reason in "[\\PC<>&\"'\\]\n\t\u{0}-\u{1f}\u{fffe}]{0,40}") {
             let kept = |text: &str| -> String {
                 let holds = |letter: &char| matches!(letter, '\n' | '\t') || !letter.is_control() && !matches!(letter, '\u{fffe}' | '\u{ffff}');
                 text.chars().filter(holds).collect()

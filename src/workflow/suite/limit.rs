@@ -42,7 +42,7 @@ pub enum Limit {
     Nothing,
 }
 
-/// Words for what a limit may look like.
+/// The forms of a limit, in words.
 const FORMS: &str = "[least, most], \"< 1.5\", a number, a word, a list of words, \"~ part of a text\", true or false, { value, within } or { value, within_percent }";
 
 impl Limit {
@@ -134,7 +134,7 @@ impl Limit {
         }
     }
 
-    /// What was found, in words, where it is not what it has to be. What is not in the result fails every limit.
+    /// The text of a failure: what was found, and what it has to be. A key that is not in the result fails every limit.
     pub fn fails(&self, found: Option<&Value>) -> Option<String> {
         let in_words = found.map_or_else(|| "not in the result".to_owned(), in_words);
         let holds = match (self, found) {
@@ -227,8 +227,8 @@ pub fn figure(found: &Value) -> Option<f64> {
 /// The value of `key` in the JSON of a command: the path that its dots name, in the result or in its diagnosis; else the
 /// parameter of that name; else what one of the short names stands for:
 ///
-/// * `missing`: the effects that the diagnosis named; nothing only where it says without reserve that nothing is missing; else
-///   in words what it says instead;
+/// * `missing`: the effects that the diagnosis named; empty only where its verdict is "none" without reservation; else
+///   the verdict as text;
 /// * `not_shown`: the effects that the runs neither named nor ruled out;
 /// * `held_out_error`: with all that was found, in noise floors.
 pub fn find(result: &Value, key: &str) -> Option<Value> {
@@ -263,7 +263,7 @@ fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Opti
     match verdict {
         "effect" if is_refuted => Some(format!("{}, not confirmed", in_words(&effects?)).into()),
         "effect" => effects,
-        "none" if !is_sufficient => Some("nothing that was found, with an error left".into()),
+        "none" if !is_sufficient => Some("nothing found, but an error is left".into()),
         "none" if not_shown.is_empty() => effects,
         "none" => {
             let names: Vec<&str> = not_shown.iter().map(String::as_str).collect();
@@ -276,7 +276,7 @@ fn missing<'a>(verdict: &str, path: &impl Fn(&str) -> Option<&'a Value>) -> Opti
     }
 }
 
-/// The answer of a diagnosis beside what is hidden, where the result has that.
+/// The hidden and the diagnosed effects, where the result has both.
 pub fn answered(result: &Value) -> Option<Answered> {
     let hidden = words(result.pointer("/truth/effects")?);
     let verdict = find(result, "verdict")?;
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_limit_says_what_would_be_one() {
+    fn a_wrong_limit_names_the_allowed_forms() {
         for (text, word) in [
             ("[2, 1]", "larger end first"),
             ("[1]", "pair"),
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_says_what_was_found_and_what_it_has_to_be() {
+    fn a_failure_has_the_found_and_the_required_value() {
         for (text, found, expected) in [
             ("[1.0, 1.3]", json!(1.512_345), "1.512, has to be 1.00000 to 1.30000"),
             ("\"none\"", json!(["backlash"]), "backlash, has to be none"),
@@ -438,7 +438,7 @@ mod tests {
             "nothing that these runs could show (backlash not ruled out), has to be none"
         );
         assert!(judged(&of("possible", true)).is_some());
-        assert!(judged(&of("ruled_out", false)).unwrap().contains("an error left"));
+        assert!(judged(&of("ruled_out", false)).unwrap().contains("an error is left"));
         assert!(judged(&json!({ "verdict": "none", "effects": [] })).is_some());
         for verdict in ["unexplained", "ambiguous"] {
             let result = json!({ "verdict": verdict, "effects": [] });
@@ -460,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_is_told_where_the_truth_is() {
+    fn a_diagnosis_is_counted_where_the_truth_is_known() {
         let of = |verdict: &str, effects: &[&str], hidden: &[&str]| {
             let result = json!({
                 "diagnosis": { "verdict": verdict, "effects": effects, "sufficient": true, "candidates": [] },
@@ -474,8 +474,8 @@ mod tests {
         assert_eq!(of("none", &[], &[]), "(nothing): (none)");
         assert_eq!(of("unexplained", &[], &["shaker"]), "shaker: (unexplained)");
         assert_eq!(of("ambiguous", &["a"], &["a"]), "a: (ambiguous)");
-        let untold = json!({ "diagnosis": { "verdict": "none", "effects": [] } });
-        assert_eq!(answered(&untold), None);
+        let without_truth = json!({ "diagnosis": { "verdict": "none", "effects": [] } });
+        assert_eq!(answered(&without_truth), None);
         let mut weak = json!({ "verdict": "none", "effects": [], "truth": { "effects": [] } });
         assert_eq!(answered(&weak).unwrap().named, "(none shown)");
         weak["verdict"] = json!("effect");

@@ -1,4 +1,4 @@
-//! A suite of bench tests: cases of steps, read from a file, and what came of them.
+//! A suite of bench tests: cases of steps, read from a file, and their results.
 //!
 //! ```text
 //! SUITE.toml -> Suite (cases, steps, limits) -> the driver runs each step as a command of the program
@@ -59,13 +59,13 @@ impl Case {
     }
 }
 
-/// What only some ways of running have.
+/// What only some ports or options provide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Need {
     /// A line in real time: the software drive behind a pseudo-terminal, or a real one.
     Line,
-    /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not to be had on a real bench.
+    /// The software drive, in memory or behind a pseudo-terminal: what is set in it is not available on a real bench.
     Emulator,
     /// An earlier run of the same machine, given by `--baseline`.
     Baseline,
@@ -87,7 +87,7 @@ pub enum Action {
         verb: Verb,
         /// Options of the command by their long names, `_` for `-`.
         options: Vec<(String, toml::Value)>,
-        /// Exit statuses that are as they should be.
+        /// Expected exit statuses.
         statuses: Vec<u8>,
     },
     /// Keys of the emulator's file that are changed for the steps that follow.
@@ -108,9 +108,9 @@ pub enum Action {
 pub struct ChangedFile {
     /// TOML file, from the folder of the suite.
     pub of: String,
-    /// What it is called in the folder of the case, `"@case/NAME"` for the steps that follow.
+    /// Its name in the folder of the case, `"@case/NAME"` for the steps that follow.
     pub name: String,
-    /// Put over the keys of the file, table by table; `"@case/..."` leads to the folder of the case.
+    /// Replaces keys of the file, table by table; `"@case/..."` is a path in the folder of the case.
     pub set: toml::Table,
 }
 
@@ -156,7 +156,7 @@ impl SignalLimit {
         let wanted =
             format!("{} ± {} at {} ± {} s", self.value, self.within, self.at_s, self.within_s);
         match nearest {
-            None => Some(format!("no sample there, has to be {wanted}")),
+            None => Some(format!("no sample, has to be {wanted}")),
             Some(found) if (found - self.value).abs() <= self.within => None,
             Some(found) => Some(format!("{found}, has to be {wanted}")),
         }
@@ -320,14 +320,13 @@ pub const CASE: &str = "case";
 const MOST_S: f64 = 86_400.0;
 /// Time for a step where the file gives none, s.
 const TIMEOUT_S: f64 = 300.0;
-/// Options that the driver gives by what stands in the case and on its own command line: which motor turns, and where files
-/// are made, is not for a step to say.
+/// Options that the driver sets from the case and from its own command line: a step does not choose the motor or the folder.
 const GIVEN: [&str; 8] =
     ["port", "emulator", "seed", "out", "hardware", "headless", "json", "screen"];
-/// What a suite has in the place of acts on its own commands.
+/// What a suite has instead of acts on its own commands.
 const HOST_HELP: &str = "allowed: faults of line and drive, as fault = { fault = [{ kind = \"black_hole\", from_s = 1.0 }] }; \
-                         signals, terminals, ports and disks are no concern of a suite";
-/// How keys begin that were figures of acts on a command, and of what its motor did; no result has them.
+                         a suite does not act on signals, terminals, ports and disks";
+/// Begin of keys of earlier versions: figures of acts on a command, and of what its motor did. No result has them.
 const NO_FIGURES: [&str; 7] = [
     "host.",
     "motor.armed_again",
@@ -481,7 +480,7 @@ fn read_step(
     })?;
     if has_status && !matches!(action, Action::Command { .. }) {
         let help = "give it to the step whose exit status it is";
-        return wrong(at, "status stands without a command", help);
+        return wrong(at, "status without a command", help);
     }
     Ok(Step {
         name: keys.name.unwrap_or_else(|| word.to_owned()),
@@ -510,8 +509,7 @@ fn read_options(
             return wrong(at, format!("unknown option `{key}` of {word}"), help);
         }
         if GIVEN.contains(&option.as_str()) {
-            let help =
-                "the case says port, emulator and seed; the rest the command line of the suite";
+            let help = "port, emulator and seed are set by the case, the others by the command line of the suite";
             return wrong(at, format!("{word} does not take `{key}`"), help);
         }
         if is_written(key) && !value.as_str().is_some_and(is_file_name) {
@@ -581,7 +579,7 @@ fn is_file_name(name: &str) -> bool {
     (1..=100).contains(&name.len()) && !name.starts_with(['.', '-']) && name.chars().all(is_plain)
 }
 
-/// Whether a name shows on a terminal as what it is.
+/// Whether a name can be printed on a terminal unchanged.
 fn is_printable(name: &str) -> bool {
     (1..=200).contains(&name.chars().count()) && !name.chars().any(char::is_control)
 }
@@ -664,7 +662,7 @@ timeout_s = 9.0
     }
 
     #[test]
-    fn what_is_wrong_is_named_with_its_place() {
+    fn each_error_has_its_line_and_column() {
         for (from, to, words) in [
             ("repeat = 3", "repeat = 0", "10:10: repeat = 0"),
             ("tags = [\"smoke\"]", "tag = 1", "unknown field `tag`"),
@@ -681,7 +679,7 @@ timeout_s = 9.0
             ("run_seed = 2", "out = \"/\"", "excite does not take `out`"),
             ("run_seed = 2", "tap = \"../line.pcap\"", "tap = \"../line.pcap\" is not allowed"),
             ("speed = {}", "", "the step does nothing"),
-            ("speed = {}", "assert = { rows = 1 }", "status stands without a command"),
+            ("speed = {}", "assert = { rows = 1 }", "status without a command"),
             ("speed = {}", "speed = {}\nexcite = {}", "several things"),
             ("speed = {}", "speed = {}\nhost = { act = \"kill\" }", "25:1: unknown field `host`"),
             (

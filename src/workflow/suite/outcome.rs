@@ -1,4 +1,4 @@
-//! What came of a suite: a verdict for each case and repeat, the figures that were judged with their spread, and the exit
+//! The result of a suite: a verdict for each case and repeat, the figures that were judged with their spread, and the exit
 //! status.
 
 use serde::{Deserialize, Serialize};
@@ -54,14 +54,14 @@ pub struct StepOutcome {
     pub identified: Option<IdentifiedStep>,
 }
 
-/// One answer of the diagnosis beside what was hidden.
+/// The hidden and the diagnosed effects of one case.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Answered {
     pub hidden: String,
     pub named: String,
 }
 
-/// What was hidden against what was named.
+/// Confusion matrix: hidden effects (rows) against diagnosed ones (columns).
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Confusion {
     /// What was hidden, in the order of the cases.
@@ -80,9 +80,9 @@ pub struct CaseOutcome {
     #[serde(flatten)]
     pub verdict: Verdict,
     pub took_s: f64,
-    /// Exit status of the step that ended it, where that was not as it should be.
+    /// Exit status of the step that ended it, where it was not expected.
     pub status: Option<u8>,
-    /// Folder with what is left of it.
+    /// Folder with its files.
     pub evidence: Option<String>,
     pub steps: Vec<StepOutcome>,
     /// Of each diagnosis of a machine whose truth is known.
@@ -136,8 +136,8 @@ impl Confusion {
         let is_named = |row: &&String| answers.iter().any(|own| own.named == **row);
         let columns: Vec<String> = rows.iter().filter(is_named).cloned().chain(others).collect();
         let count = |row: &String, column: &String| {
-            let here = |own: &&&Answered| own.hidden == *row && own.named == *column;
-            answers.iter().filter(here).count()
+            let is_here = |own: &&&Answered| own.hidden == *row && own.named == *column;
+            answers.iter().filter(is_here).count()
         };
         let counts =
             rows.iter().map(|row| columns.iter().map(|column| count(row, column)).collect());
@@ -220,21 +220,16 @@ impl SuiteOutcome {
         }
     }
 
-    /// The status of the failure: that of the steps that ended cases where it is one and the same and no limit
-    /// failed; else 1 where a limit failed.
+    /// 0 where no case failed; the status of the steps that ended cases in error, where it is the same for all; else 1.
     pub fn exit_status(&self) -> u8 {
-        let wrong = || {
-            self.cases
-                .iter()
-                .filter(|case| matches!(case.verdict, Verdict::Failed(_) | Verdict::Error(_)))
-        };
         if self.failed + self.errors == 0 {
             return 0;
         }
         if self.failed > 0 {
             return 1;
         }
-        let mut statuses = wrong().map(|case| case.status.unwrap_or(1));
+        let in_error = self.cases.iter().filter(|case| matches!(case.verdict, Verdict::Error(_)));
+        let mut statuses = in_error.map(|case| case.status.unwrap_or(1));
         let first = statuses.next().unwrap_or(1);
         if statuses.all(|status| status == first) { first } else { 1 }
     }
@@ -300,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn the_status_tells_a_limit_from_a_link() {
+    fn the_status_distinguishes_a_limit_from_a_link() {
         let passed = || case("a", Verdict::Passed, None, None);
         let failed = || case("b", Verdict::Failed("high".into()), Some(0), None);
         let error = |status| case("c", Verdict::Error("no answer".into()), Some(status), None);

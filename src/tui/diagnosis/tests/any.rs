@@ -26,7 +26,7 @@ fn state() -> impl Strategy<Value = State> {
     let numbers = prop::collection::vec(number(), 8);
     let (kind, down) = (0..7_usize, 0..40_i32);
     (kind, over, verdict, numbers, ".{0,120}", down, any::<bool>()).prop_map(
-        |(kind, over, verdict, numbers, words, down, speaks)| {
+        |(kind, over, verdict, numbers, text, down, has_text)| {
             let mut state = match kind {
                 0 => begun(),
                 1 => searching(),
@@ -60,9 +60,9 @@ fn state() -> impl Strategy<Value = State> {
             }
             state = pressed(state, &"↓".repeat(down as usize));
             state.over = over;
-            state.help.first = speaks.then_some(down as usize);
-            state.title.clone_from(&words);
-            state.message = speaks.then_some(words);
+            state.help.first = has_text.then_some(down as usize);
+            state.title.clone_from(&text);
+            state.message = has_text.then_some(text);
             state
         },
     )

@@ -96,12 +96,12 @@ proptest! {
         }
         let shown = terminal(&model, width, height).backend().to_string();
         if width >= 30 && height >= 6 {
-            let word = match (finished, &model.snapshot.stop_error) {
+            let label = match (finished, &model.snapshot.stop_error) {
                 (false, _) => "Space = STOP",
                 (true, None) => "output off",
                 (true, Some(_)) => "Stop NOT confirmed",
             };
-            prop_assert!(shown.contains(word), "{shown}");
+            prop_assert!(shown.contains(label), "{shown}");
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::tui::screens::Page;
-use crate::workflow::Called;
+use crate::workflow::CommandContext;
 
 /// A reference that is followed, a while after the load has changed.
 fn speed() -> Snapshot {
@@ -35,7 +35,7 @@ fn offers() -> Model {
         let mut workflow = workflow(true);
         workflow.steps.extend([Step::Experiment, Step::SpeedLoop].map(|step| StepView {
             state: StepState::Offered,
-            command: step.command(&Called::default()),
+            command: step.command(&CommandContext::default()),
             ..StepView::new(step)
         }));
         own.update(Event::Workflow(Arc::new(workflow)));
@@ -75,7 +75,7 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         (
             "done_leads_on",
             with(&finished(model(done())), |own| {
-                own.leads = Some("back to the loop");
+                own.followed_by = Some("back to the steps");
             }),
         ),
         ("report", offers()),
