@@ -18,7 +18,7 @@ struct Settings {
     settled: f64,
     /// Sum of the prediction errors of the last rows over that of their speed changes at a jump.
     jump_share: f64,
-    /// Periods of the torsional oscillation that a row is the mean of: the more, the less the twist counts beside the change
+    /// Periods of the torsional oscillation that a row is the mean of: the more, the less the twist counts against the change
     /// of the mean speed.
     torsion_periods: f64,
     /// Prior variance of the parameters over their size, in noise variances.
@@ -128,16 +128,16 @@ impl LoadEstimator {
 
     /// Without change detection: the forgetting factor follows a changed load, as in paper A.
     #[must_use]
-    pub(super) const fn by_forgetting_alone(mut self) -> Self {
+    pub(super) const fn without_change_detection(mut self) -> Self {
         self.detects_change = false;
         self
     }
 
     /// Behind a coupling with this period of its oscillation.
     #[must_use]
-    pub(super) const fn behind(mut self, period_s: f64) -> Self {
+    pub(super) const fn with_torsion_period(mut self, period_s: f64) -> Self {
         self.span_s = SETTINGS.torsion_periods * period_s;
-        self.by_forgetting_alone()
+        self.without_change_detection()
     }
 
     /// Changes of the load so far.
@@ -145,10 +145,9 @@ impl LoadEstimator {
         self.jumps
     }
 
-    /// One sample; `None` where the current is missing. Returns whether the estimate was updated.
+    /// One sample; `current_a` is `None` where it is missing. Returns whether the estimate was updated.
     pub(super) fn push(&mut self, current_a: Option<f64>, speed_rad_s: f64, period_s: f64) -> bool {
-        let now = current_a.filter(|amps| amps.is_finite());
-        let now = now.map(|current| (current, speed_rad_s));
+        let now = current_a.filter(|amps| amps.is_finite()).map(|current| (current, speed_rad_s));
         let (Some((current, speed)), Some((last_current, last_speed))) = (now, self.last) else {
             self.last = now;
             self.begin(speed_rad_s, period_s);
@@ -189,7 +188,7 @@ impl LoadEstimator {
         self.change.interrupt();
     }
 
-    /// Resets the covariance when the rows agree that the load is another.
+    /// Resets the covariance when the prediction errors of several rows show another load.
     fn detect_change(&mut self, regressor: &[f64; 2], speed_change: f64) {
         let known = self.estimator.parameters();
         let predicted = known[0] * regressor[0] + known[1] * regressor[1];
@@ -279,7 +278,8 @@ mod tests {
         let whole = 0.3538 / 0.0045;
         let plant = LinearPlant::current(&elastic(0.5, 0.02), 0.0, 0.002).unwrap();
         let (phi, gamma) = plant.held_over(0.002);
-        let mut estimator = LoadEstimator::new(1.5 * whole, 0.0, 0.96, 0.02).behind(1.0 / 22.0);
+        let mut estimator =
+            LoadEstimator::new(1.5 * whole, 0.0, 0.96, 0.02).with_torsion_period(1.0 / 22.0);
         let mut x = nalgebra::Vector4::new(0.0, 100.0, 100.0, 0.0);
         for n in 0..1500 {
             estimator.push(Some(x[0]), x[1], 0.002);

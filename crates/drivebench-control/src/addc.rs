@@ -3,7 +3,7 @@
 //!
 //! The paper prints no tuning rule: here it is one of [`tuning`](super::tuning), worked out for every inertia beforehand.
 //! Where the winding's time constant is identified as well, its share of Kp follows ([`super::electrical`]).
-//! Gains change at a bounded rate, within bounds from the estimate's uncertainty (cautious control), and stand still while
+//! Gains change at a bounded rate, within bounds from the estimate's uncertainty (cautious control), and are held while
 //! the estimate is not settled or the output is limited.
 
 use super::adaptation::LoadEstimator;
@@ -15,20 +15,20 @@ use super::{
 };
 use drivebench_model::plant::{Model, MotorKey};
 
-struct Following {
+struct Settings {
     /// Time in which a gain may change by a factor of e, s.
     gain_time_s: f64,
     /// Relative change of the proportional gain below which it stays, at least and in standard deviations of the estimate:
-    /// noise moves no gain.
+    /// noise changes no gain.
     dead_band: f64,
     dead_band_stds: f64,
     /// Standard deviations of the estimate within which the gain has its margin.
     bound_stds: f64,
-    /// Relative change that is logged, once the gains have come to rest.
+    /// Relative change that is logged, once the gains no longer change.
     logged: f64,
 }
 
-const FOLLOWING: Following = Following {
+const SETTINGS: Settings = Settings {
     gain_time_s: 0.1,
     dead_band: 0.05,
     dead_band_stds: 3.0,
@@ -77,7 +77,7 @@ pub struct Addc {
     model_acceleration_per_a: f64,
     model_mechanical_s: f64,
     /// Why the gains do not move in this cycle.
-    still: Option<&'static str>,
+    hold_reason: Option<&'static str>,
     moved: bool,
     /// Gain, inertia ratio and jumps of the last line of the log.
     logged: (f64, f64, u32),
@@ -105,7 +105,7 @@ impl Addc {
             settings.noise_rad_s,
         );
         let estimator = match plant.coupling() {
-            Some(coupling) => estimator.behind(coupling.frequency_hz.recip()),
+            Some(coupling) => estimator.with_torsion_period(coupling.frequency_hz.recip()),
             None => estimator,
         };
         let gains = schedule.at(1.0).gains;
@@ -124,7 +124,7 @@ impl Addc {
             torque_n_m_per_a: model.motor.torque_constant().unwrap_or(f64::NAN),
             model_acceleration_per_a: acceleration_per_a,
             model_mechanical_s: model.motor.mechanical_time_constant_s().unwrap_or(0.0),
-            still: Some(NOT_SETTLED),
+            hold_reason: Some(NOT_SETTLED),
             moved: false,
             logged: (gains.proportional, 1.0, 0),
         })
@@ -145,14 +145,14 @@ impl Addc {
         Ok(self)
     }
 
-    /// With an estimate that forgets and does not detect jumps, as paper A's.
+    /// With exponential forgetting alone, as in paper A.
     #[must_use]
-    pub fn by_forgetting_alone(mut self) -> Self {
-        self.estimator = self.estimator.by_forgetting_alone();
+    pub fn without_change_detection(mut self) -> Self {
+        self.estimator = self.estimator.without_change_detection();
         self
     }
 
-    /// Whether the data carry the estimate that the gains would follow.
+    /// Whether the estimate is settled.
     pub fn is_settled(&self) -> bool {
         self.estimator.load().settled
     }
@@ -174,24 +174,20 @@ impl Addc {
                 ratio * self.model_mechanical_s
             )
         } else {
-            "TM is being searched for".to_owned()
+            "TM is not settled".to_owned()
         }
-    }
-
-    fn electrical_text(&self) -> String {
-        self.electrical.as_ref().map_or_else(String::new, |one| format!("; {}", one.text()))
     }
 
     fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
         let load = self.estimator.load();
         self.moved = false;
         let limited = self.pi.is_limited().then_some("the output is limited");
-        self.still = (!load.settled).then_some(NOT_SETTLED).or(limited);
-        if self.still.is_some() {
+        self.hold_reason = (!load.settled).then_some(NOT_SETTLED).or(limited);
+        if self.hold_reason.is_some() {
             return;
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
-        let lightest = ratio(load.acceleration_per_a + FOLLOWING.bound_stds * load.std);
+        let lightest = ratio(load.acceleration_per_a + SETTINGS.bound_stds * load.std);
         let middle = ratio(load.acceleration_per_a);
         let mut wanted = self.schedule.within(lightest, middle);
         if let Some(electrical) = &self.electrical {
@@ -202,11 +198,11 @@ impl Addc {
         let change = proportional / now.proportional;
         let outside = now.proportional > wanted.most_proportional;
         let band =
-            FOLLOWING.dead_band.max(FOLLOWING.dead_band_stds * load.std / load.acceleration_per_a);
+            SETTINGS.dead_band.max(SETTINGS.dead_band_stds * load.std / load.acceleration_per_a);
         if (change - 1.0).abs() < band && !outside {
             return;
         }
-        let most = (period_s / FOLLOWING.gain_time_s).exp();
+        let most = (period_s / SETTINGS.gain_time_s).exp();
         let moved = |from: f64, to: f64| to.clamp(from / most, from * most);
         let gains = PiGains {
             proportional: moved(now.proportional, proportional),
@@ -252,31 +248,32 @@ impl SpeedController for Addc {
     }
 
     fn explain(&self) -> Vec<String> {
-        let still = self.still.map(|why| format!("stand still: {why}"));
-        let state = still.unwrap_or_else(|| "follow the estimate".to_owned());
+        let hold_reason = self.hold_reason.map(|why| format!("are held: {why}"));
+        let state = hold_reason.unwrap_or_else(|| "follow the estimate".to_owned());
+        let electrical = self.electrical.as_ref().map(|one| format!("; {}", one.text()));
         vec![
             format!("{}; {}", self.pi.gains().text(&self.pi.share_text()), self.mechanical_text()),
-            format!("gains {state}{}", self.electrical_text()),
+            format!("gains {state}{}", electrical.unwrap_or_default()),
         ]
     }
 
-    fn news(&mut self) -> Option<String> {
+    fn gain_change(&mut self) -> Option<String> {
         let gains = self.pi.gains();
         let (logged_proportional, logged_ratio, logged_jumps) = self.logged;
         let jumps = self.estimator.jumps();
         // One line for a change that takes some cycles, at its end.
-        let arrived = !self.moved
-            && (gains.proportional / logged_proportional - 1.0).abs() > FOLLOWING.logged;
+        let arrived =
+            !self.moved && (gains.proportional / logged_proportional - 1.0).abs() > SETTINGS.logged;
         if !arrived && jumps <= logged_jumps {
             return None;
         }
         let ratio = self.inertia_ratio();
         let because = if jumps > logged_jumps {
-            "the load changed: the memory of the estimate was dropped"
-        } else if (ratio / logged_ratio - 1.0).abs() > FOLLOWING.logged {
-            "the estimate moved"
+            "the load changed: the covariance of the estimate was reset"
+        } else if (ratio / logged_ratio - 1.0).abs() > SETTINGS.logged {
+            "the estimate changed"
         } else {
-            "the gains have come to the estimate"
+            "the gains have reached the estimate"
         };
         let line = format!(
             "Kp {logged_proportional:.4} -> {:.4}, Tn {:.4} s: {because}; {}",

@@ -12,7 +12,7 @@ use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// Bounds of Ta, as a factor of the model's either way.
-const REACH: f64 = 2.0;
+const RANGE: f64 = 2.0;
 /// Cycles between two evaluations of the estimates: a winding warms up in minutes.
 const CYCLES: u32 = 10;
 
@@ -52,7 +52,7 @@ impl Electrical {
             other.motor.set(MotorKey::Inductance, factor * l);
             LinearPlant::voltage(&other, viscous_n_m_s_per_rad)
         };
-        let (Ok(short), Ok(long)) = (plant(1.0 / REACH), plant(REACH)) else {
+        let (Ok(short), Ok(long)) = (plant(1.0 / RANGE), plant(RANGE)) else {
             return Ok(None);
         };
         let schedule = |plant: &LinearPlant, factor: f64| {
@@ -70,8 +70,8 @@ impl Electrical {
             time_s: 0.0,
             until_evaluation: CYCLES,
             found: None,
-            shortest: schedule(&short, 1.0 / REACH)?,
-            longest: schedule(&long, REACH)?,
+            shortest: schedule(&short, 1.0 / RANGE)?,
+            longest: schedule(&long, RANGE)?,
         }))
     }
 
@@ -130,9 +130,9 @@ impl Electrical {
             return base;
         };
         let at = |electrical: f64| {
-            let place = electrical.clamp(1.0 / REACH, REACH).ln() / REACH.ln();
-            let bound = [&self.shortest, &self.longest][usize::from(place > 0.0)];
-            base.towards(&bound.within(low, ratio), place.abs())
+            let position = electrical.clamp(1.0 / RANGE, RANGE).ln() / RANGE.ln();
+            let bound = [&self.shortest, &self.longest][usize::from(position > 0.0)];
+            base.interpolated(&bound.within(low, ratio), position.abs())
         };
         let mut scheduled = at(found);
         for end in [found - 2.0 * std, found + 2.0 * std] {
@@ -150,8 +150,8 @@ mod tests {
     use super::*;
     use crate::testing::{assert_close, inertia, machine, model, plant, timing};
     use crate::{
-        Actuator, Addc, AddcSettings, Compensated, Course, FeedForward, Holding, Limiter,
-        SpeedController, TrialMachine, trial,
+        Actuator, Addc, AddcSettings, Compensated, FeedForward, Holding, Limiter, SpeedController,
+        TrialInputs, TrialMachine, trial,
     };
 
     #[test]
@@ -191,7 +191,7 @@ mod tests {
             current_noise_a: 0.01,
             ..machine(1.0)
         };
-        let course = Course {
+        let inputs = TrialInputs {
             reference_rad_s: &|t| {
                 if (t / 0.5).floor() % 2.0 == 0.0 { 90.0 } else { 100.0 }
             },
@@ -203,7 +203,7 @@ mod tests {
         let forward = FeedForward::new(&model, &[], Actuator::Voltage, &timing, 1e3).unwrap();
         let mut compensated = Compensated::new(Box::new(addc.clone()), forward);
         for controller in [&mut addc as &mut dyn SpeedController, &mut compensated] {
-            trial(&machine, &course, controller, &limiter, 2000, 1);
+            trial(&machine, &inputs, controller, &limiter, 2000, 1);
             let found = controller.adapted().and_then(|now| now.electrical_s);
             assert_close(found.unwrap() / 0.005, 1.0, 0.1);
         }

@@ -23,7 +23,7 @@ use drivebench_model::plant::{
 
 /// Effects of a model in the actuator's unit.
 pub struct FeedForward {
-    effects: Vec<Known>,
+    effects: Vec<MemorylessEffect>,
     maps: Vec<TorqueMap>,
     motor: Instant,
     friction_n_m: f64,
@@ -41,7 +41,7 @@ pub struct FeedForward {
 }
 
 /// A memoryless effect of which the model has every value.
-struct Known {
+struct MemorylessEffect {
     id: &'static str,
     terms: Box<dyn Terms>,
     needs_angle: bool,
@@ -63,17 +63,12 @@ struct Winding {
 impl Winding {
     /// A voltage that is held for a period drives the current to its goal at the end of it, or within the winding's time
     /// constant where that is longer.
-    fn behind_voltage(time_constant_s: f64, period_s: f64) -> Self {
+    fn of_voltage(time_constant_s: f64, period_s: f64) -> Self {
         let decay_over = |time_s: f64| (-time_s / time_constant_s).exp();
         let decay = decay_over(period_s);
         let reached = 1.0 - decay_over(period_s.max(time_constant_s));
         // A ramp of the current is followed without a lag.
         Self { decay, lead: 1.0 / reached, ahead_s: period_s * reached / (1.0 - decay) }
-    }
-
-    /// The drive's own loop holds it: the mean over the period is the command.
-    const fn behind_current(period_s: f64) -> Self {
-        Self { decay: 0.0, lead: 1.0, ahead_s: 0.5 * period_s }
     }
 }
 
@@ -110,18 +105,19 @@ impl FeedForward {
         let winding = match actuator {
             Actuator::Voltage => {
                 let electrical_s = value(MotorKey::Inductance)? / value(MotorKey::Resistance)?;
-                Winding::behind_voltage(electrical_s, timing.period_s)
+                Winding::of_voltage(electrical_s, timing.period_s)
             }
-            Actuator::Current => Winding::behind_current(timing.period_s),
+            // Controlled by the drive: the mean over the period is the command.
+            Actuator::Current => Winding { decay: 0.0, lead: 1.0, ahead_s: 0.5 * timing.period_s },
             Actuator::Speed => return None,
         };
         let drops_voltage = actuator == Actuator::Voltage;
         let effects = model.effects.iter().filter_map(|active| {
             let card = active.effect.card();
-            let costs = drops_voltage || card.enters.includes(Balance::Torque);
-            Some(Known {
+            let has_output = drops_voltage || card.enters.includes(Balance::Torque);
+            Some(MemorylessEffect {
                 id: active.id(),
-                terms: active.terms_of_the_instant().filter(|_| costs)?,
+                terms: active.terms_of_the_instant().filter(|_| has_output)?,
                 needs_angle: card.needs_angle,
                 mapped: (maps.iter().map(|map| map.torque)).find(|torque| torque.holds(active)),
             })
@@ -146,8 +142,9 @@ impl FeedForward {
     fn sentence(&self, is_planned: bool) -> String {
         let while_measured =
             |needs_angle| ["", " while the drive gives its angle"][usize::from(needs_angle)];
-        let name =
-            |effect: &Known| format!(", {}{}", effect.id, while_measured(effect.needs_angle));
+        let name = |effect: &MemorylessEffect| {
+            format!(", {}{}", effect.id, while_measured(effect.needs_angle))
+        };
         let map = |map: &TorqueMap| {
             let (torque, known, bins) = (map.torque, map.known(), map.bins.len());
             let name = torque.name();
@@ -174,7 +171,7 @@ impl FeedForward {
     }
 
     /// Current of a motion, A, and the voltage that effects drop there.
-    fn cost(&self, motion: &Motion) -> (f64, f64) {
+    fn requirement(&self, motion: &Motion) -> (f64, f64) {
         let Motion { speed_rad_s, acceleration_rad_s2, angle_rad } = *motion;
         // The mean over a period in which the speed passes zero.
         let turn_rad_s = 0.5 * self.period_s * acceleration_rad_s2.abs();
@@ -209,14 +206,14 @@ impl FeedForward {
         let motion_n_m = friction_n_m.unwrap_or(self.friction_n_m * sign)
             + cogging_n_m.unwrap_or(0.0)
             + self.inertia_kg_m2 * acceleration_rad_s2;
-        let here = at(motion_n_m * self.amperes_per_torque);
+        let instant = at(motion_n_m * self.amperes_per_torque);
         let torque_n_m = active()
-            .map(|effect| effect.terms.sums(&here, &[]))
+            .map(|effect| effect.terms.sums(&instant, &[]))
             .fold(motion_n_m, |torque, sums| torque + sums.torque_n_m + sums.friction_n_m * sign);
         let current_a = torque_n_m * self.amperes_per_torque;
-        let here = at(current_a);
+        let instant = at(current_a);
         let drop_v: f64 = match self.actuator {
-            Actuator::Voltage => active().map(|effect| effect.terms.voltage_v(&here, &[])).sum(),
+            Actuator::Voltage => active().map(|effect| effect.terms.voltage_v(&instant, &[])).sum(),
             _ => 0.0,
         };
         let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
@@ -232,8 +229,8 @@ impl FeedForward {
     }
 
     /// The speed a period after `from` on the way to `to`, within the current limit.
-    fn towards(&self, from: f64, to: f64) -> f64 {
-        let (resisting_a, _) = self.cost(&Motion::steady(from, None));
+    fn next_speed(&self, from: f64, to: f64) -> f64 {
+        let (resisting_a, _) = self.requirement(&Motion::steady(from, None));
         let resisting_n_m = resisting_a / self.amperes_per_torque;
         let gain = |torque_n_m: f64| self.period_s * torque_n_m / self.inertia_kg_m2;
         let up = gain(self.torque_limit_n_m - resisting_n_m).max(0.0);
@@ -292,7 +289,7 @@ impl Compensated {
     fn extend_plan(&mut self, reference_rad_s: f64) {
         let target = self.previewed_rad_s.take().unwrap_or(reference_rad_s);
         let next =
-            if self.is_planned { self.forward.towards(self.plan[0], target) } else { target };
+            if self.is_planned { self.forward.next_speed(self.plan[0], target) } else { target };
         self.plan.truncate(160);
         self.plan.push_front(next);
     }
@@ -317,7 +314,7 @@ impl Compensated {
                 back_emf_v = forward.motor.back_emf_v_s_per_rad * middle;
             }
         }
-        let (goal_a, drop_v) = forward.cost(&motion);
+        let (goal_a, drop_v) = forward.requirement(&motion);
         let Winding { decay, lead, .. } = forward.winding;
         let driving_a = self.current_a + lead * (goal_a - self.current_a);
         self.current_a = decay * self.current_a + (1.0 - decay) * driving_a;
@@ -362,7 +359,8 @@ impl SpeedController for Compensated {
     fn reset(&mut self, now: &Measured, output: f64) {
         self.plan = VecDeque::from(vec![now.speed_rad_s]);
         self.previewed_rad_s = None;
-        self.current_a = self.forward.cost(&Motion::steady(now.speed_rad_s, now.angle_rad)).0;
+        self.current_a =
+            self.forward.requirement(&Motion::steady(now.speed_rad_s, now.angle_rad)).0;
         self.evaluate(now);
         self.inner.reset(now, output - self.forward_output);
     }
@@ -373,8 +371,8 @@ impl SpeedController for Compensated {
         lines
     }
 
-    fn news(&mut self) -> Option<String> {
-        self.inner.news()
+    fn gain_change(&mut self) -> Option<String> {
+        self.inner.gain_change()
     }
 
     fn adapted(&self) -> Option<Adapted> {
@@ -406,7 +404,7 @@ impl SpeedController for Compensated {
 mod tests {
     use super::*;
     use crate::testing::{Fixed, assert_close, limiter, machine, pi_gains};
-    use crate::{AntiWindup, Course, Holding, Pi, TrialPoint, trial};
+    use crate::{AntiWindup, Holding, Pi, TrialInputs, TrialPoint, trial};
     use drivebench_model::plant::{MapBin, MappedValue, Motor};
 
     const TIMING: LoopTiming = LoopTiming { period_s: 0.01, delay_s: 0.02, filter_s: 0.0 };
@@ -430,7 +428,7 @@ mod tests {
     }
 
     fn output(forward: &FeedForward, motion: &Motion) -> f64 {
-        let (current_a, drop_v) = forward.cost(motion);
+        let (current_a, drop_v) = forward.requirement(motion);
         forward.in_unit(current_a) + drop_v
     }
 
@@ -439,7 +437,7 @@ mod tests {
     }
 
     #[test]
-    fn effects_cost_the_output_of_their_equations() {
+    fn effects_need_the_output_of_their_equations() {
         use Actuator::{Current, Voltage};
         let ohm_per_torque = 1.1 / 0.3538;
         let fan_n_m = 0.455 + 2e-6 * 200.0 * 200.0;
@@ -457,13 +455,13 @@ mod tests {
             let forward = forward(&model(id, &[value]), actuator);
             assert_close(at(&forward, speed, None), expected, tolerance);
         }
-        let behind_speed =
+        let of_speed =
             FeedForward::new(&model(fan.0, &[fan.1]), &[], Actuator::Speed, &TIMING, 10.0);
-        assert!(behind_speed.is_none());
+        assert!(of_speed.is_none());
     }
 
     #[test]
-    fn acceleration_costs_the_inertia_and_friction_reverses() {
+    fn acceleration_needs_torque_and_friction_reverses() {
         let plain = forward(&plain(), Actuator::Current);
         // Zero is passed in the middle of the period: as long one way as the other.
         for (speed_rad_s, friction) in [(20.0, 1.0), (-20.0, -1.0), (0.0, 0.0), (0.25, 0.5)] {
@@ -554,11 +552,14 @@ mod tests {
         reference: &dyn Fn(f64) -> f64,
         cycles: usize,
     ) -> Vec<TrialPoint> {
-        let course =
-            Course { reference_rad_s: reference, inertia_kg_m2: &|_| 0.0045, load_n_m: &|_| 0.0 };
+        let inputs = TrialInputs {
+            reference_rad_s: reference,
+            inertia_kg_m2: &|_| 0.0045,
+            load_n_m: &|_| 0.0,
+        };
         let mut controller =
             Compensated::new(Box::new(inner), forward(&plain(), Actuator::Voltage));
-        trial(&machine(0.0), &course, &mut controller, &limiter(&TIMING), cycles, 1)
+        trial(&machine(0.0), &inputs, &mut controller, &limiter(&TIMING), cycles, 1)
     }
 
     /// Up to 20 rad/s, back and forth between 20 and -20 in 0.4 s.

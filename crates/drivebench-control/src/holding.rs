@@ -8,7 +8,7 @@ use drivebench_model::plant::{Model, MotorKey};
 /// `output = per_speed w + against sgn(w)`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Holding {
-    /// Actuator's unit per rad/s: the back-EMF and what viscous friction costs.
+    /// Actuator's unit per rad/s: the back-EMF and viscous friction.
     pub per_speed: f64,
     /// Against the motion, actuator's unit: Coulomb friction.
     pub against: f64,

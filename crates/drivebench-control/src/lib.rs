@@ -1,4 +1,4 @@
-//! Speed control, host-side: tuning, controllers, limiter, feed-forward. Pure; time comes in with each cycle.
+//! Speed control, host-side: tuning, controllers, limiter, feed-forward. Time is an argument of each cycle.
 //!
 //! ```text
 //! model + timing --> tuning (rule) --> gains, reasons, margins over the spread of the parameters, predicted step
@@ -53,7 +53,9 @@ pub use response::{Response, SETTLED_SHARE, response};
 pub use schedule::{Schedule, Scheduled};
 pub use spread::drawn;
 pub use timing::LoopTiming;
-pub use trial::{Course, Direct, SpeedSensor, TrialMachine, TrialPoint, trial, trial_with_sensor};
+pub use trial::{
+    Direct, SpeedSensor, TrialInputs, TrialMachine, TrialPoint, trial, trial_with_sensor,
+};
 pub use watch::{Finding, LoopWatch};
 
 #[cfg(test)]
@@ -124,7 +126,7 @@ pub trait SpeedController: Send {
     fn explain(&self) -> Vec<String>;
 
     /// A change of the gains since the last call, as a line of the log.
-    fn news(&mut self) -> Option<String> {
+    fn gain_change(&mut self) -> Option<String> {
         None
     }
 

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// Limits of a controller's output. The guard's limits stand behind them and are wider.
+/// Limits of a controller's output. The limits of the guard are wider.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Limiter {
     /// Largest output, actuator's unit.
@@ -35,7 +35,7 @@ impl Limiter {
     }
 }
 
-/// Sign of the limit that cut `wanted` to `given`: +1 where more was wanted; zero where they differ by rounding only.
+/// Sign of the limit that clipped `wanted` to `given`: +1 where more was wanted; zero where they differ by rounding only.
 pub(super) fn limited(wanted: f64, given: f64) -> f64 {
     let short = wanted - given;
     if short.abs() > 1e-9 * wanted.abs().max(1.0) { short.signum() } else { 0.0 }

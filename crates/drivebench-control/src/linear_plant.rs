@@ -15,6 +15,7 @@ use drivebench_model::plant::{Coupling, Model, MotorKey};
 
 /// Most states of a plant.
 pub(super) const STATES: usize = 4;
+
 /// `dx/dt = A x + b u`, speed = `x[1]`.
 ///
 /// Voltage drive: `x` is current and speed. Current drive: the drive's current loop is a lag.
@@ -172,7 +173,7 @@ impl LinearPlant {
         plant
     }
 
-    /// The same with the inductance `ratio` times as large; another actuator than the voltage hides it.
+    /// The same with the inductance `ratio` times as large; without effect for another actuator than the voltage.
     #[must_use]
     pub(super) fn with_inductance_ratio(&self, ratio: f64) -> Self {
         let mut plant = *self;
@@ -270,10 +271,10 @@ impl LinearPlant {
         let mut joint = SMatrix::<f64, { STATES + 1 }, { STATES + 1 }>::zeros();
         joint.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&(a * time_s));
         joint.fixed_view_mut::<STATES, 1>(0, STATES).copy_from(&(b * time_s));
-        let grown = joint.exp();
+        let exponential = joint.exp();
         (
-            grown.fixed_view::<STATES, STATES>(0, 0).into_owned(),
-            grown.fixed_view::<STATES, 1>(0, STATES).into_owned(),
+            exponential.fixed_view::<STATES, STATES>(0, 0).into_owned(),
+            exponential.fixed_view::<STATES, 1>(0, STATES).into_owned(),
         )
     }
 }
@@ -405,8 +406,8 @@ mod tests {
     #[test]
     fn a_heavier_load_changes_neither_motor_nor_coupling() {
         let plant = LinearPlant::voltage(&testing::elastic(0.5, 0.02), 0.0).unwrap();
-        let grown = plant.with_inertia_ratio(3.0);
-        let [(before, _), (after, _)] = [plant, grown].map(|plant| plant.whole());
+        let heavier = plant.with_inertia_ratio(3.0);
+        let [(before, _), (after, _)] = [plant, heavier].map(|plant| plant.whole());
         // Torque of motor and damping on the motor's own inertia.
         for column in 0..3 {
             assert_close(before[(1, column)], after[(1, column)], 1e-9);
@@ -416,8 +417,8 @@ mod tests {
         assert_close(per_angle(&before, 1), per_angle(&after, 1), 1e-9);
         assert_close(per_angle(&before, 2), 5.0 * per_angle(&after, 2), 1e-9);
         // Both together turn as one with three times the inertia.
-        assert_close(grown.gain().unwrap(), plant.gain().unwrap(), 1e-12);
-        assert_close(grown.matrices().0[(1, 0)] * 3.0, plant.a[(1, 0)], 1e-12);
+        assert_close(heavier.gain().unwrap(), plant.gain().unwrap(), 1e-12);
+        assert_close(heavier.matrices().0[(1, 0)] * 3.0, plant.a[(1, 0)], 1e-12);
     }
 
     #[test]
@@ -441,7 +442,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_physical_is_refused_by_name() {
+    fn unphysical_values_are_refused_by_name() {
         let motor = Motor::zk_22fc().with(MotorKey::Inertia, -1.0);
         let error = LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap_err();
         assert_eq!(

@@ -153,7 +153,7 @@ impl LoopShape {
         }
     }
 
-    /// One period; `reference` behind its filter.
+    /// One period; `reference` after its filter.
     fn step(&self, memory: &mut Memory, reference: f64) -> f64 {
         memory.filtered += self.filter_share * (memory.x[1] - memory.filtered);
         let error = memory.notch.pass(
@@ -181,8 +181,8 @@ impl LoopShape {
         let notch = if self.gains.notch.is_some() { 4 } else { 0 };
         let pipe = self.states..self.states + self.whole + 1;
         let integral = pipe.end;
-        let behind = integral + 1 + filter;
-        linear_map::radius(behind + notch, |state| {
+        let notch_at = integral + 1 + filter;
+        linear_map::radius(notch_at + notch, |state| {
             let mut memory = self.rest();
             memory.x.as_mut_slice()[..self.states].copy_from_slice(&state[..self.states]);
             memory.pipe.copy_from_slice(&state[pipe.clone()]);
@@ -190,7 +190,7 @@ impl LoopShape {
             if filter > 0 {
                 memory.filtered = state[integral + 1];
             }
-            if let [x1, x2, y1, y2] = state[behind..] {
+            if let [x1, x2, y1, y2] = state[notch_at..] {
                 (memory.notch.inputs, memory.notch.outputs) = ([x1, x2], [y1, y2]);
             }
             self.step(&mut memory, 0.0);
@@ -201,8 +201,8 @@ impl LoopShape {
                 state[integral + 1] = memory.filtered;
             }
             if notch > 0 {
-                state[behind..behind + 2].copy_from_slice(&memory.notch.inputs);
-                state[behind + 2..].copy_from_slice(&memory.notch.outputs);
+                state[notch_at..notch_at + 2].copy_from_slice(&memory.notch.inputs);
+                state[notch_at + 2..].copy_from_slice(&memory.notch.outputs);
             }
         })
     }
@@ -219,8 +219,7 @@ impl LoopShape {
             row[STATES] = push[n];
         }
         // The speed's column last: elimination alone solves for it.
-        let order = [0, 2, 3];
-        for (step, column) in order.into_iter().filter(|n| *n < size).enumerate() {
+        for (step, column) in [0, 2, 3].into_iter().filter(|n| *n < size).enumerate() {
             let of = |row: &[Complex<f64>; STATES + 1]| row[column].norm_sqr();
             let pivot = (step..size)
                 .fold(step, |best, n| if of(&rows[n]) > of(&rows[best]) { n } else { best });
@@ -262,8 +261,8 @@ impl LoopShape {
         self.with_regulator(&self.response_at(frequency_rad_s))
     }
 
-    /// Frequencies between which no crossing is missed: steps of 3 %, of at most a tenth of what turns the delay by half a
-    /// turn, and a geometric refinement about each resonance.
+    /// Frequencies between which no crossing is missed: steps of 3 %, at most a tenth of the frequency at which the delay has a
+    /// phase of 180 degrees, and a geometric refinement about each resonance.
     fn frequencies(&self) -> Vec<f64> {
         let nyquist = std::f64::consts::PI / self.timing.period_s;
         let longest = 0.1 * nyquist / (1.0 + self.whole as f64);
@@ -275,8 +274,8 @@ impl LoopShape {
         }
         for resonance in &self.resonances_rad_s {
             found.push(*resonance);
-            for away in (0..18).map(|n| 5e-4 * 1.35_f64.powi(n)) {
-                found.extend([resonance * (1.0 - away), resonance * (1.0 + away)]);
+            for offset in (0..18).map(|n| 5e-4 * 1.35_f64.powi(n)) {
+                found.extend([resonance * (1.0 - offset), resonance * (1.0 + offset)]);
             }
         }
         found.retain(|frequency| *frequency < nyquist);
@@ -336,12 +335,12 @@ impl LoopShape {
         }
         // Without a crossing it is above at every frequency, or below. At the last, Nyquist's, the open loop is real.
         let last = before;
-        let nowhere = |at_end: f64| if at_end > 0.0 { f64::INFINITY } else { 0.0 };
+        let at_end = |at_end: f64| if at_end > 0.0 { f64::INFINITY } else { 0.0 };
         if margins.crossover_rad_s.is_nan() {
-            margins.crossover_rad_s = nowhere(size(last));
+            margins.crossover_rad_s = at_end(size(last));
         }
         if margins.bandwidth_rad_s.is_nan() {
-            margins.bandwidth_rad_s = nowhere(closed(last));
+            margins.bandwidth_rad_s = at_end(closed(last));
         }
         if last.re < 0.0 {
             margins.gain_margin = margins.gain_margin.min(on_axis(last));
@@ -401,7 +400,7 @@ mod tests {
         assert!(margins.radius < 1.0, "{margins:?}");
         let at = |factor: f64| {
             let proportional = factor * shape.gains.proportional;
-            // Kp alone: what the integral does stays the same share of it.
+            // Kp is scaled, Tn is kept: the integral gain is scaled too.
             shape.with_gains(&PiGains { proportional, ..shape.gains }).radius()
         };
         assert!(at(0.999 * margins.gain_margin) < 1.0, "{margins:?}");
@@ -498,7 +497,7 @@ mod tests {
     }
 
     #[test]
-    fn a_loop_that_never_falls_has_no_end_of_its_bandwidth() {
+    fn a_gain_above_one_up_to_nyquist_has_no_bandwidth() {
         // Slow sampling without a delay: at Nyquist's frequency the closed loop's gain is still above one.
         let slow = LoopTiming { period_s: 0.1, ..timing(0.0) };
         let margins = LoopShape::new(&slow_machine(), &slow, &pi_gains(0.6, 0.2)).margins();

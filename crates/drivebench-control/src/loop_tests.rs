@@ -59,7 +59,7 @@ fn paper_b(period_s: f64) -> PaperB {
     PaperB::new(PaperBPlant::new(period_s, 0.009, 0.2, 0.3538), PaperBSettings::default()).unwrap()
 }
 
-/// A course of one inertia without a load.
+/// A trial with one inertia and without a load.
 fn follow(
     machine: &TrialMachine,
     controller: &mut dyn SpeedController,
@@ -67,8 +67,9 @@ fn follow(
     inertia_kg_m2: f64,
     cycles: usize,
 ) -> Vec<TrialPoint> {
-    let course = Course { reference_rad_s, inertia_kg_m2: &|_| inertia_kg_m2, load_n_m: &|_| 0.0 };
-    trial(machine, &course, controller, &limiter(&timing()), cycles, 1)
+    let inputs =
+        TrialInputs { reference_rad_s, inertia_kg_m2: &|_| inertia_kg_m2, load_n_m: &|_| 0.0 };
+    trial(machine, &inputs, controller, &limiter(&timing()), cycles, 1)
 }
 
 /// Responses to each step of a square wave.
@@ -85,12 +86,12 @@ fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
 fn figure_6_fixed_gains_oscillate_and_adaptive_ones_do_not() {
     for noise in [0.0, 1.0] {
         let run = |controller: &mut dyn SpeedController| {
-            let course = Course {
+            let inputs = TrialInputs {
                 reference_rad_s: &square(4.0, 90.0, 110.0),
                 inertia_kg_m2: &figure_6(24.0),
                 load_n_m: &|_| 0.0,
             };
-            steps(&trial(&machine(noise), &course, controller, &limiter(&timing()), 7200, 1), 4.0)
+            steps(&trial(&machine(noise), &inputs, controller, &limiter(&timing()), 7200, 1), 4.0)
         };
         let (fixed, adaptive) = (run(&mut fixed()), run(&mut adaptive()));
         // Steps 0..4 at 0.2 s, then (from 24 s) 5..10 at 0.05 s, then 11.. at 1 s; one to adapt.
@@ -106,12 +107,12 @@ fn figure_6_fixed_gains_oscillate_and_adaptive_ones_do_not() {
 fn a_load_leaves_no_steady_state_error() {
     let mut observer = load_observer(&timing());
     for controller in [&mut fixed() as &mut dyn SpeedController, &mut adaptive(), &mut observer] {
-        let course = Course {
+        let inputs = TrialInputs {
             reference_rad_s: &|_| 80.0,
             inertia_kg_m2: &|_| inertia(0.2),
             load_n_m: &|t| if t > 3.0 { 1.0 } else { 0.0 },
         };
-        let trace = trial(&machine(0.0), &course, controller, &limiter(&timing()), 800, 1);
+        let trace = trial(&machine(0.0), &inputs, controller, &limiter(&timing()), 800, 1);
         assert_close(trace[299].speed_rad_s, 80.0, 0.01);
         assert_close(trace[799].speed_rad_s, 80.0, 0.01);
         let dip = trace[300..].iter().map(|p| 80.0 - p.speed_rad_s).fold(0.0, f64::max);
@@ -149,7 +150,7 @@ fn a_limit_within_the_drive_is_taken_for_no_load() {
     let (mut observer, mut paper_b) = (load_observer(&timing()), paper_b(0.001));
     let both: [(_, &mut dyn SpeedController); 2] =
         [(machine(0.0), &mut observer), (integrator, &mut paper_b)];
-    let course = Course {
+    let inputs = TrialInputs {
         reference_rad_s: &|_| 200.0,
         inertia_kg_m2: &|_| inertia(0.2),
         load_n_m: &|_| 0.0,
@@ -157,7 +158,7 @@ fn a_limit_within_the_drive_is_taken_for_no_load() {
     for (machine, controller) in both {
         let cycles = whole(20.0 / machine.period_s);
         let limiter = Limiter { output: 110.0, current: None };
-        let trace = trial(&machine, &course, controller, &limiter, cycles, 1);
+        let trace = trial(&machine, &inputs, controller, &limiter, cycles, 1);
         assert_close(trace[cycles - 1].speed_rad_s, 200.0, 1e-6);
         // Without a report of the limit they overshoot by 14 and 5 rad/s.
         let most = trace.iter().map(|point| point.speed_rad_s).fold(0.0, f64::max);

@@ -1,4 +1,4 @@
-//! Model-reference adaptive control (MRAC), paper A's rival: no identification, the gains are driven by the error to a model.
+//! Model-reference adaptive control (MRAC), compared in paper A: no identification, the gains are driven by the error to a model.
 //!
 //! The paper only cites it. The law here, stated in full: `u = kr r - kw w - ki i + k1`, reference model of second order
 //! `wm / r = 1 / ((1 + s Tm)(1 + s Te))` behind the loop's dead time, `v = e + Td de/dt` with `e = wm - w`, and
@@ -40,7 +40,7 @@ pub struct Mrac {
     now: [f64; 4],
     largest_v: f64,
     scales: MracScales,
-    /// Slow and quick time constant of the reference model, s, and the weight of the error's rate.
+    /// Slow and fast time constant of the reference model, s, and the weight of the error's rate.
     model_s: [f64; 2],
     rate_s: f64,
     model: [f64; 2],
@@ -66,7 +66,7 @@ impl Mrac {
     ) -> Option<Self> {
         let gain = plant.gain()?;
         let (a, b) = plant.matrices();
-        // The quick pole stays where the circuit has it; the slow one is placed.
+        // The fast pole remains that of the circuit; the slow one is placed.
         let small_s = -1.0 / a[(0, 0)] + timing.small_time_s();
         let model_s = [SETTINGS.model_small_times * small_s, -1.0 / a[(0, 0)]];
         // (s + 1/Tm)(s + 1/Te) = s^2 + (R + ki)/L s + (Ke + kw) Kt/(L J).
@@ -112,8 +112,8 @@ impl Mrac {
     fn advance_model(&mut self, reference_rad_s: f64, period_s: f64) {
         self.delayed.push_back(reference_rad_s);
         let input = self.delayed.pop_front().unwrap_or(reference_rad_s);
-        let [slow, quick] = self.model_s.map(|time_s| -(-period_s / time_s).exp_m1());
-        self.model[0] += quick * (input - self.model[0]);
+        let [slow, fast] = self.model_s.map(|time_s| -(-period_s / time_s).exp_m1());
+        self.model[0] += fast * (input - self.model[0]);
         self.model[1] += slow * (self.model[0] - self.model[1]);
     }
 
@@ -191,7 +191,7 @@ impl SpeedController for Mrac {
             if self.disconnects {
                 "the adaptation is disconnected while the output is limited".to_owned()
             } else {
-                "the adaptation goes on while the output is limited: it takes the limit for a wrong gain".to_owned()
+                "the adaptation goes on while the output is limited: the error at the limit changes the gains".to_owned()
             },
         ]
     }

@@ -1,6 +1,6 @@
 //! Notch filter of second order.
 //!
-//! `H(s) = (s^2 + 2 d z w s + w^2) / (s^2 + 2 z w s + w^2)`; sampled by the bilinear transform with its warping taken back at
+//! `H(s) = (s^2 + 2 d z w s + w^2) / (s^2 + 2 z w s + w^2)`; sampled by the bilinear transform prewarped at
 //! `w` (Bristow-Johnson, Cookbook formulae for audio equalizer biquad filter coefficients, 1998): its gain at `w`
 //! is `d` at every sampling rate.
 
@@ -25,7 +25,7 @@ struct Coefficients {
 
 impl Notch {
     /// Up to 0.4 of the sampling rate.
-    pub fn reaches(frequency_hz: f64, period_s: f64) -> bool {
+    pub fn is_realisable(frequency_hz: f64, period_s: f64) -> bool {
         frequency_hz > 0.0 && frequency_hz * period_s <= 0.4
     }
 
@@ -45,7 +45,7 @@ impl Notch {
 
     /// `None` where the sampling is too slow: then it is a gain of one.
     fn coefficients(&self, period_s: f64) -> Option<Coefficients> {
-        if !Self::reaches(self.frequency_hz, period_s) {
+        if !Self::is_realisable(self.frequency_hz, period_s) {
             return None;
         }
         let (sin, cos) = (std::f64::consts::TAU * self.frequency_hz * period_s).sin_cos();
@@ -108,7 +108,7 @@ mod tests {
 
     const NOTCH: Notch = Notch { frequency_hz: 22.0, damping_ratio: 0.3, depth: 0.1 };
 
-    /// Amplitude of a sine behind the notch.
+    /// Amplitude of a sine after the notch.
     fn amplitude(frequency_hz: f64, period_s: f64) -> f64 {
         let mut memory = NotchMemory::at_rest();
         let sine = |n: u32| (std::f64::consts::TAU * frequency_hz * f64::from(n) * period_s).sin();
@@ -134,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn a_constant_passes_whatever_the_notch_becomes() {
+    fn a_constant_passes_a_changing_notch() {
         let mut memory = NotchMemory::at_rest();
         for _ in 0..3000 {
             memory.pass(Some(&NOTCH), 3.0, 0.002);

@@ -22,7 +22,7 @@ pub enum AntiWindup {
     Hold,
 }
 
-/// `u = Kp e + I`, `I` grows by `Kp T/Tn e` per cycle; `e` behind the notch, where the gains have one.
+/// `u = Kp e + I`, `I` grows by `Kp T/Tn e` per cycle; `e` after the notch, where the gains have one.
 #[derive(Clone, Debug)]
 pub struct Pi {
     gains: PiGains,
@@ -87,7 +87,7 @@ impl Pi {
     /// A reduced share as text after the gain.
     pub(super) fn share_text(&self) -> String {
         if self.share < 1.0 {
-            format!(" ({:.0} % of the tuned one, for the loop oscillated)", 100.0 * self.share)
+            format!(" ({:.0} % of the tuned one, because the loop oscillated)", 100.0 * self.share)
         } else {
             String::new()
         }
@@ -115,13 +115,13 @@ impl Pi {
         self.integral += before - error(self);
     }
 
-    /// The reference behind its filter in this cycle.
+    /// The reference after its filter in this cycle.
     fn filtered(&self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) -> f64 {
         if self.is_planned {
             return reference_rad_s;
         }
         let share = lag_share(period_s, self.gains.reference_filter_s);
-        // A start from rest or after a stop begins at the speed that is there.
+        // A start from rest or after a stop begins at the measured speed.
         let before = self.reference_rad_s.unwrap_or(speed_rad_s);
         before + share * (reference_rad_s - before)
     }
@@ -190,7 +190,7 @@ impl SpeedController for Pi {
         let integral = match self.anti_windup {
             AntiWindup::Off => "goes on growing",
             AntiWindup::Clamp => "stands still",
-            AntiWindup::Hold => "follows what holds the present speed",
+            AntiWindup::Hold => "follows the steady-state output of the present speed",
         };
         vec![
             if self.share < 1.0 {
@@ -281,7 +281,7 @@ mod tests {
     }
 
     /// Overshoot of an integrating load behind a limit of 5 above the back-EMF, at the end of a long acceleration. The limit
-    /// is this side's, or the drive's, which reports it or does not.
+    /// is the host's, or the drive's, which reports it or does not.
     fn overshoot(anti_windup: AntiWindup, notch: Option<Notch>, of_drive: Option<bool>) -> f64 {
         let mut pi = pi(anti_windup, notch);
         let (mut speed, mut limited, mut most) = (0.0_f64, false, 0.0_f64);

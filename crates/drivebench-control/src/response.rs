@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn what_never_comes_near_has_no_settling_time() {
+    fn a_trace_outside_of_the_band_has_no_settling_time() {
         let found = response(&trace(|t| 0.5 * t.min(1.0)), 0.0, 1.0);
         assert_eq!((found.settling_s, found.rise_s), (None, None));
         for (trace, from, to) in

@@ -7,7 +7,7 @@ use drivebench_model::numerics::count::whole;
 
 /// Points of the grid, and its reach either way from the model's inertia.
 const POINTS: usize = 41;
-const REACH: f64 = 32.0;
+const RANGE: f64 = 32.0;
 
 /// Gains over the ratio of the inertia to the model's.
 #[derive(Clone, Debug)]
@@ -29,7 +29,7 @@ pub struct Scheduled {
 }
 
 impl Scheduled {
-    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+    pub(super) fn interpolated(&self, other: &Self, share: f64) -> Self {
         let between = |of: fn(&Self) -> f64| of(self) + share * (of(other) - of(self));
         // Where a load is so light that its frequency is out of reach, the other's notch is taken.
         let [low, high] = [self, other].map(|point| point.gains.notch);
@@ -51,25 +51,27 @@ impl Scheduled {
 }
 
 impl Schedule {
-    /// The grid around the model's plant; it ends where the rule refuses. Away from the model's own inertia only the draws
+    /// The grid around the model's plant; it ends where the rule refuses. Away from the model's nominal inertia only the draws
     /// with the least margins there are checked, and a notch is used where it was found to help there.
     ///
     /// # Errors
-    /// What [`tune_over`] refuses at the model's own inertia.
+    /// What [`tune_over`] refuses at the model's nominal inertia.
     pub fn new(
         plant: &LinearPlant,
         draws: &[LinearPlant],
         timing: &LoopTiming,
         request: &Request,
     ) -> Result<Self, TuningError> {
-        let step = 2.0 * REACH.ln() / (POINTS - 1) as f64;
+        let step = 2.0 * RANGE.ln() / (POINTS - 1) as f64;
         let middle = POINTS / 2;
-        let own = tune_over(plant, draws, timing, request)?;
-        let request =
-            Request { notch: own.gains.notch.map_or(NotchUse::Off, NotchUse::Like), ..*request };
-        let hardest = own.draws.as_ref().map(|draws| draws.hardest.as_slice());
+        let nominal = tune_over(plant, draws, timing, request)?;
+        let request = Request {
+            notch: nominal.gains.notch.map_or(NotchUse::Off, NotchUse::Like),
+            ..*request
+        };
+        let hardest = nominal.draws.as_ref().map(|draws| draws.hardest.as_slice());
         let at = |index: usize| {
-            let ratio = (index as f64 * step - REACH.ln()).exp();
+            let ratio = (index as f64 * step - RANGE.ln()).exp();
             let scaled = |plant: &LinearPlant| plant.with_inertia_ratio(ratio);
             let draws: Vec<LinearPlant> = hardest.unwrap_or_default().iter().map(scaled).collect();
             tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
@@ -88,10 +90,10 @@ impl Schedule {
         let (mut points, below) = from(&mut (0..middle).rev());
         let first = middle - points.len();
         points.reverse();
-        points.push(point(&own));
+        points.push(point(&nominal));
         let (heavier, above) = from(&mut (middle + 1..POINTS));
         points.extend(heavier);
-        Ok(Self { points, refused: [below, above], lowest: first as f64 * step - REACH.ln(), step })
+        Ok(Self { points, refused: [below, above], lowest: first as f64 * step - RANGE.ln(), step })
     }
 
     /// Smallest and largest ratio of the grid.
@@ -108,14 +110,14 @@ impl Schedule {
     /// Gains for a ratio; beyond the grid those of its end.
     pub fn at(&self, ratio: f64) -> Scheduled {
         let last = self.points.len() - 1;
-        let place = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
-        let index = whole(place).min(last.saturating_sub(1));
+        let position = ((ratio.ln() - self.lowest) / self.step).clamp(0.0, last as f64);
+        let index = whole(position).min(last.saturating_sub(1));
         let (low, high) = (&self.points[index], &self.points[(index + 1).min(last)]);
-        low.towards(high, place - index as f64)
+        low.interpolated(high, position - index as f64)
     }
 
     /// Gains for an inertia that may be anything between two ratios: those of the middle, but never beyond what the
-    /// lightest of them bears.
+    /// lightest of them allows.
     pub fn within(&self, low: f64, ratio: f64) -> Scheduled {
         let mut scheduled = self.at(ratio);
         let bound = self.at(low.min(ratio)).most_proportional;
@@ -182,10 +184,10 @@ mod tests {
         assert!(low < 0.7 && high > 3.0, "{low} {high}");
         for ratio in [0.7, 0.8, 1.0, 1.3, 2.9] {
             let gains = schedule.at(ratio).gains;
-            let there = plant.with_inertia_ratio(ratio);
-            let hertz = there.coupling().unwrap().frequency_hz;
+            let scaled = plant.with_inertia_ratio(ratio);
+            let hertz = scaled.coupling().unwrap().frequency_hz;
             assert_close(gains.notch.unwrap().frequency_hz / hertz, 1.0, 0.02);
-            let margins = LoopShape::new(&there, &quick, &gains).margins();
+            let margins = LoopShape::new(&scaled, &quick, &gains).margins();
             assert!(margins.radius < 1.0 && margins.gain_margin > 1.6, "{ratio} {margins:?}");
         }
     }

@@ -27,7 +27,7 @@ pub struct TrialMachine {
     /// Against the motion, N.m.
     pub friction_n_m: f64,
     pub viscous_n_m_s_per_rad: f64,
-    /// Between motor and load; a course's inertia is that of both, its load acts on the far side.
+    /// Between motor and load; the inertia is that of both, the load torque acts on the load's side.
     pub coupling: Option<Coupling>,
     /// The drive lowers its voltage to hold this current, A.
     pub drive_current_limit_a: f64,
@@ -39,7 +39,7 @@ pub struct TrialMachine {
 }
 
 /// What changes in time: functions of the time since the begin, s.
-pub struct Course<'a> {
+pub struct TrialInputs<'a> {
     pub reference_rad_s: &'a dyn Fn(f64) -> f64,
     pub inertia_kg_m2: &'a dyn Fn(f64) -> f64,
     /// Against positive motion, N.m.
@@ -103,20 +103,20 @@ impl Noise {
 /// Runs a controller for `cycles` periods from standstill, on the true speed and the machine's noise.
 pub fn trial(
     machine: &TrialMachine,
-    course: &Course<'_>,
+    inputs: &TrialInputs<'_>,
     controller: &mut dyn SpeedController,
     limiter: &Limiter,
     cycles: usize,
     seed: u64,
 ) -> Vec<TrialPoint> {
-    trial_with_sensor(&mut Direct, machine, course, controller, limiter, cycles, seed)
+    trial_with_sensor(&mut Direct, machine, inputs, controller, limiter, cycles, seed)
 }
 
 /// The same with another sensor of the speed; the machine's noise comes on top of what it reads.
 pub fn trial_with_sensor(
     sensor: &mut dyn SpeedSensor,
     machine: &TrialMachine,
-    course: &Course<'_>,
+    inputs: &TrialInputs<'_>,
     controller: &mut dyn SpeedController,
     limiter: &Limiter,
     cycles: usize,
@@ -131,15 +131,15 @@ pub fn trial_with_sensor(
     let mut trace = Vec::with_capacity(cycles);
     for cycle in 0..cycles {
         let time_s = cycle as f64 * machine.period_s;
-        let inertia = (course.inertia_kg_m2)(time_s);
+        let inertia = (inputs.inertia_kg_m2)(time_s);
         let now = Measured {
             speed_rad_s: sensor.read(time_s, x[1]) + machine.speed_noise_rad_s * noise.draw(),
             current_a: Some(x[0] + machine.current_noise_a * noise.draw()),
             angle_rad: Some(angle_rad),
             limited,
         };
-        let reference_rad_s = (course.reference_rad_s)(time_s);
-        controller.preview(&|ahead_s| (course.reference_rad_s)(time_s + ahead_s));
+        let reference_rad_s = (inputs.reference_rad_s)(time_s);
+        controller.preview(&|ahead_s| (inputs.reference_rad_s)(time_s + ahead_s));
         let wanted = controller.step(reference_rad_s, &now, machine.period_s);
         let torque = machine.torque_n_m_per_a * x[0] - machine.friction_n_m * x[1].signum();
         let output = limiter.limit(wanted, now.speed_rad_s, torque / inertia);
@@ -155,7 +155,7 @@ pub fn trial_with_sensor(
         };
         pipe.push_back(output);
         let applied_v = pipe.pop_front().unwrap_or(output);
-        let load_n_m = (course.load_n_m)(time_s);
+        let load_n_m = (inputs.load_n_m)(time_s);
         let step_s = machine.step_s();
         let mut step = 0;
         limited = machine.advance(&mut x, &mut load, (applied_v, inertia, load_n_m), |from, to| {
@@ -292,13 +292,13 @@ mod tests {
             delay_periods: 0,
             ..machine
         };
-        let course = Course {
+        let inputs = TrialInputs {
             reference_rad_s: &|_| 0.0,
             inertia_kg_m2: &|_| inertia_kg_m2,
             load_n_m: &|_| 0.0,
         };
         let limiter = Limiter { output: 1e3, current: None };
-        trial(&machine, &course, &mut Fixed::new(12.0), &limiter, cycles, 1)
+        trial(&machine, &inputs, &mut Fixed::new(12.0), &limiter, cycles, 1)
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::collections::VecDeque;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 
-/// Thresholds of the detector. The trials in `speed/tests/watch.rs` of the bench hold them: no ring of a second is missed
+/// Thresholds of the detector. The trials in `speed/tests/watch.rs` of the bench hold them: no ringing of a second is missed
 /// behind a coupling, and none is reported on a motor that is what its model is.
 struct Settings {
     /// Half-periods of an oscillation, and the longest of them, cycles: a loop's own is a few dead times long.
@@ -89,7 +89,7 @@ pub enum Finding {
     RestoreGain { amplitude_rad_s: f64 },
     /// By too little to act against, or with the smallest gains.
     Oscillates { amplitude_rad_s: f64 },
-    /// By more than a motor is to bear, and the gains cannot fall (any more).
+    /// By more than is allowed, and the gains cannot fall (any more).
     Persists { amplitude_rad_s: f64, most_rad_s: f64 },
     /// Most of the window was spent at a limit, and the error does not fall.
     Saturated { limited_share: f64, error_rad_s: f64 },
@@ -160,7 +160,7 @@ impl LoopWatch {
             }
             self.largest_rad_s = self.largest_rad_s.max(reference_rad_s.abs());
             self.reference_rad_s = reference_rad_s;
-            self.forget();
+            self.restart();
             (self.first_side, self.arrived) = (0.0, 0);
             return None;
         }
@@ -173,7 +173,7 @@ impl LoopWatch {
         if self.window.len() > self.cycles {
             self.window.pop_front();
         }
-        // One that dies away is that of the machine behind a step, not the loop's.
+        // A decaying one is the response of the machine to a step, not a limit cycle.
         if let Some(alike) = alike
             && alike.least_rad_s > self.acted_rad_s()
             && alike.persists
@@ -183,7 +183,7 @@ impl LoopWatch {
         self.saturated().or_else(|| self.irregular())
     }
 
-    fn forget(&mut self) {
+    fn restart(&mut self) {
         self.half_periods = HalfPeriods::default();
         self.window.clear();
     }
@@ -202,7 +202,7 @@ impl LoopWatch {
     }
 
     fn found(&mut self, amplitude_rad_s: f64) -> Option<Finding> {
-        self.forget();
+        self.restart();
         if self.can_reduce_gain && !self.is_restored {
             if self.steps < SETTINGS.gain_steps {
                 if self.steps == 0 {
@@ -245,8 +245,8 @@ impl LoopWatch {
         };
         let is_reported = is_large(amplitude_rad_s, SETTINGS.reported_noises)
             || is_large(sine_amplitude(last()), SETTINGS.reported_rms_noises);
-        let dies = amplitude_rad_s < SETTINGS.irregular_persists * 0.5 * (before.1 - before.0);
-        if !is_reported || dies {
+        let decays = amplitude_rad_s < SETTINGS.irregular_persists * 0.5 * (before.1 - before.0);
+        if !is_reported || decays {
             return None;
         }
         let (low, high) = (low.min(before.0), high.max(before.1));
@@ -310,7 +310,7 @@ fn sine_amplitude(errors: impl Iterator<Item = f64>) -> f64 {
 
 /// Half-periods of like amplitude: the mean, the least, and whether the later ones are about as large as the earlier.
 #[derive(Clone, Copy, Debug)]
-struct Alike {
+struct SteadyOscillation {
     mean_rad_s: f64,
     least_rad_s: f64,
     persists: bool,
@@ -329,7 +329,7 @@ struct HalfPeriods {
 
 impl HalfPeriods {
     /// One error. At the end of a half-period the last ones, where they are alike.
-    fn push(&mut self, error: f64) -> Option<Alike> {
+    fn push(&mut self, error: f64) -> Option<SteadyOscillation> {
         self.cycles += 1;
         if self.cycles > SETTINGS.longest_half_period {
             *self = Self::default();
@@ -349,7 +349,7 @@ impl HalfPeriods {
         let (least_rad_s, most) = extent(self.amplitudes);
         let (earlier, later) = self.amplitudes.split_at(count / 2);
         let [earlier, later] = [earlier, later].map(|half| half.iter().sum::<f64>());
-        let alike = Alike {
+        let alike = SteadyOscillation {
             mean_rad_s: (earlier + later) / count as f64,
             least_rad_s,
             persists: later > SETTINGS.persists * earlier,
@@ -436,7 +436,7 @@ mod tests {
     }
 
     #[test]
-    fn noise_slow_waves_and_a_moving_reference_are_none() {
+    fn noise_slow_waves_and_a_moving_reference_are_no_oscillation() {
         for can_reduce_gain in [false, true] {
             assert!(findings(can_reduce_gain, 2.3, |_| 0.6, 400).0.is_empty());
             assert!(findings(can_reduce_gain, 60.0, |_| 20.0, 800).0.is_empty());

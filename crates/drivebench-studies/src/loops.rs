@@ -9,10 +9,10 @@ use serde::Serialize;
 
 use drivebench::control::tuning::{Request, Tuning, tune};
 use drivebench::control::{
-    Actuator, Addc, AddcSettings, AntiWindup, Course, CurrentLimit, Direct, Holding, Limiter,
-    LinearPlant, LoadObserving, LoadObservingSettings, LoopTiming, Measured, Mrac, MracScales,
-    PaperB, PaperBPlant, PaperBSettings, Pi, Response, SpeedController, SpeedSensor, TrialMachine,
-    TrialPoint, response, trial_with_sensor,
+    Actuator, Addc, AddcSettings, AntiWindup, CurrentLimit, Direct, Holding, Limiter, LinearPlant,
+    LoadObserving, LoadObservingSettings, LoopTiming, Measured, Mrac, MracScales, PaperB,
+    PaperBPlant, PaperBSettings, Pi, Response, SpeedController, SpeedSensor, TrialInputs,
+    TrialMachine, TrialPoint, response, trial_with_sensor,
 };
 use drivebench::numerics::count::whole;
 use drivebench::plant::{Model, MotorKey};
@@ -95,7 +95,7 @@ impl Bench {
         bench
     }
 
-    /// The motor of the model in its trial; the inertia comes with the course.
+    /// The motor of the model in its trial; the inertia comes with the inputs.
     pub(super) fn machine(&self) -> TrialMachine {
         TrialMachine {
             resistance_ohm: self.value(MotorKey::Resistance),
@@ -177,7 +177,7 @@ impl Bench {
         match kind {
             Kind::Pi => Box::new(self.pi()),
             Kind::Addc => Box::new(self.addc()),
-            Kind::AddcForgetting => Box::new(self.addc().by_forgetting_alone()),
+            Kind::AddcForgetting => Box::new(self.addc().without_change_detection()),
             Kind::MracConnected => Box::new(self.mrac(false)),
             Kind::MracDisconnected => Box::new(self.mrac(true)),
             Kind::PaperB => Box::new(WithBackEmf::new(
@@ -239,7 +239,7 @@ impl<'a> Trial<'a> {
         controller: &mut dyn SpeedController,
         seconds: f64,
     ) -> Vec<TrialPoint> {
-        let course = Course {
+        let inputs = TrialInputs {
             reference_rad_s: &self.reference_rad_s,
             inertia_kg_m2: &self.inertia_kg_m2,
             load_n_m: &self.load_n_m,
@@ -247,7 +247,7 @@ impl<'a> Trial<'a> {
         trial_with_sensor(
             &mut *self.sensor,
             &self.machine,
-            &course,
+            &inputs,
             controller,
             &self.limiter,
             cycles(seconds, self.machine.period_s),

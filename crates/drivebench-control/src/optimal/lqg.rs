@@ -1,8 +1,8 @@
 //! LQG control with a disturbance observer and integral action.
 //!
 //! The Kalman filter has the load torque as a third state, a random walk. Its estimate is predicted over the loop's delay with
-//! the outputs within it; the feedback acts on the prediction. The load is fed forward, and an integral of the error takes
-//! the errors of the model.
+//! the outputs within it; the feedback acts on the prediction. The load is fed forward, and an integral of the error
+//! compensates the errors of the model.
 
 use std::collections::VecDeque;
 
@@ -66,7 +66,7 @@ impl LoadObserving {
     pub const ID: &str = "load-observer";
 
     /// # Errors
-    /// Recursions that do not come to rest; a model that lacks a value gives settings that are not allowed.
+    /// Recursions that do not converge; a model that lacks a value gives settings that are not allowed.
     pub fn new(
         model: &Model,
         plant: &LinearPlant,
@@ -84,9 +84,9 @@ impl LoadObserving {
         let (phi_2, gamma_2) = plant.rigid().held_over(timing.period_s);
         let (phi, gamma) = with_load(plant, timing.period_s, inertia);
         let c = Vector3::new(0.0, 1.0, 0.0);
-        let wander = settings.load_wander_n_m.powi(2) * timing.period_s;
+        let load_variance = settings.load_wander_n_m.powi(2) * timing.period_s;
         let process = gamma * gamma.transpose() * settings.voltage_v.powi(2) * 1e-4
-            + Matrix3::from_diagonal(&Vector3::new(1e-6, 1e-6, wander));
+            + Matrix3::from_diagonal(&Vector3::new(1e-6, 1e-6, load_variance));
         let noise = settings.speed_noise_rad_s.powi(2).max(1e-9);
         // Of the steady gains.
         let tolerance = 1e-10;
@@ -134,8 +134,8 @@ fn with_load(plant: &LinearPlant, period_s: f64, inertia: f64) -> (Matrix3<f64>,
     joint.fixed_view_mut::<2, 2>(0, 0).copy_from(a);
     joint[(1, 2)] = -1.0 / inertia;
     joint.fixed_view_mut::<2, 1>(0, 3).copy_from(b);
-    let grown = (joint * period_s).exp();
-    (grown.fixed_view::<3, 3>(0, 0).into_owned(), grown.fixed_view::<3, 1>(0, 3).into_owned())
+    let expm = (joint * period_s).exp();
+    (expm.fixed_view::<3, 3>(0, 0).into_owned(), expm.fixed_view::<3, 1>(0, 3).into_owned())
 }
 
 impl SpeedController for LoadObserving {

@@ -46,7 +46,7 @@ impl PaperBPlant {
     }
 }
 
-/// T, Q, R, V, W, mu are not in the paper: these are chosen by us.
+/// T, Q, R, V, W, mu are not in the paper; these values are chosen here.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PaperBSettings {
@@ -92,7 +92,7 @@ pub enum PaperBError {
 impl PaperBError {
     pub const fn help(&self) -> &'static str {
         match self {
-            Self::Setting { .. } => "leave it out for ours",
+            Self::Setting { .. } => "leave it out for the default",
             Self::Iteration(_) => "give costs and noises that are above zero and not too far apart",
             Self::Unstable { .. } => {
                 "lower the compensation or its filter share, or raise the voltage's cost"
@@ -143,7 +143,7 @@ impl PaperB {
         let weight = Matrix2::new(settings.error_cost, 0.0, 0.0, 0.0);
         let feedback = riccati::feedback(&g, &h, &weight, settings.voltage_cost, tolerance)
             .ok_or(PaperBError::Iteration("feedback's gain"))?;
-        let mut made = Self {
+        let mut controller = Self {
             gain_3: settings.compensation / (plant.a + plant.b),
             plant,
             settings,
@@ -154,9 +154,9 @@ impl PaperB {
             state: Memory::default(),
             wanted: 0.0,
         };
-        let radius = made.closed_radius();
-        made.radius = radius;
-        (radius < 1.0).then_some(made).ok_or(PaperBError::Unstable { radius })
+        let radius = controller.closed_radius();
+        controller.radius = radius;
+        (radius < 1.0).then_some(controller).ok_or(PaperBError::Unstable { radius })
     }
 
     /// Largest eigenvalue of the loop closed with its own plant.
@@ -175,7 +175,7 @@ impl PaperB {
     }
 
     /// One cycle. While `limited` the motor did not have the voltages of the prediction, whose error is no load then: the
-    /// compensation stands still.
+    /// compensation is held.
     fn cycle(&self, memory: &mut Memory, reference: f64, speed: f64, limited: bool) -> f64 {
         let PaperBPlant { a, b, d, f } = self.plant;
         let predicted = -f * memory.speeds[0] - d * memory.speeds[1]

@@ -72,8 +72,8 @@ impl Loops {
         }
         let mut order = self.order.borrow_mut();
         let fails = order.iter().position(|draw| !holds(&self.draws[*draw]));
-        if let Some(place) = fails {
-            order[..=place].rotate_right(1);
+        if let Some(index) = fails {
+            order[..=index].rotate_right(1);
         }
         fails.is_none()
     }

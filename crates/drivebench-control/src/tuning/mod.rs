@@ -160,13 +160,13 @@ impl Tuning {
         let end_s = self.step.last().map_or(0.0, |point| point.time_s);
         let one = |plant| LoopShape::new(plant, &self.timing, &self.gains).step_response(end_s);
         let drawn: Vec<Vec<StepPoint>> = draws.iter().map(one).collect();
-        let aside = count::whole(0.05 * drawn.len() as f64);
+        let skipped = count::whole(0.05 * drawn.len() as f64);
         for (n, point) in self.step.iter_mut().enumerate() {
             let mut speeds: Vec<f64> =
                 drawn.iter().filter_map(|step| Some(step.get(n)?.speed)).collect();
             speeds.sort_by(f64::total_cmp);
-            point.low = speeds.get(aside).copied();
-            point.high = speeds.iter().rev().nth(aside).copied();
+            point.low = speeds.get(skipped).copied();
+            point.high = speeds.iter().rev().nth(skipped).copied();
         }
     }
 }
@@ -210,14 +210,14 @@ impl TuningError {
             Self::Timing { .. } => "give the measured timing of the link",
             Self::Integrates { .. } => "use symmetrical-optimum or pole-placement",
             Self::Bandwidth { .. } => {
-                "ask for less, or make the link faster (higher rate, less delay)"
+                "lower the bandwidth, or make the link faster (higher rate, less delay)"
             }
             Self::NoBandwidth(_) => "leave it out for the rule's own",
             Self::Margins { draws: 0, .. } => {
                 "use pole-placement with a lower bandwidth, or a faster link"
             }
             Self::Margins { .. } => {
-                "identify the motor more narrowly (`drivebench plan` shows from which run), or use pole-placement with a lower bandwidth"
+                "identify the motor more precisely (`drivebench plan` shows from which run), or use pole-placement with a lower bandwidth"
             }
         }
     }
@@ -350,7 +350,9 @@ impl Task<'_> {
                 by(&Self { notch, ..*self })
             }
             NotchUse::Auto => match by(self) {
-                Ok(found) if found.is_the_rules_own && self.holds(&found) => Ok(self.plain(found)),
+                Ok(found) if found.is_the_rules_own && self.holds(&found) => {
+                    Ok(self.without_notch(found))
+                }
                 Ok(found) if request.bandwidth_rad_s.is_some() && self.holds(&found) => Ok(found),
                 without => self.quicker_with_a_notch(without, by),
             },
@@ -359,7 +361,8 @@ impl Task<'_> {
 
     fn notches(&self) -> impl Iterator<Item = Notch> {
         let frequency_hz = self.plant.coupling().map(|coupling| coupling.frequency_hz);
-        let reached = frequency_hz.filter(|hertz| Notch::reaches(*hertz, self.timing.period_s));
+        let reached =
+            frequency_hz.filter(|hertz| Notch::is_realisable(*hertz, self.timing.period_s));
         reached.into_iter().flat_map(|frequency_hz| {
             SETTINGS.notch_dampings.into_iter().flat_map(move |damping_ratio| {
                 SETTINGS.notch_depths.map(|depth| Notch { frequency_hz, damping_ratio, depth })
@@ -367,7 +370,7 @@ impl Task<'_> {
         })
     }
 
-    fn plain(&self, mut found: Found) -> Found {
+    fn without_notch(&self, mut found: Found) -> Found {
         if let Some(coupling) = self.plant.coupling() {
             found.reasons.push(format!(
                 "the coupling at {:.1} Hz leaves the rule its margins: no notch is needed",
@@ -458,7 +461,7 @@ impl Task<'_> {
     }
 
     /// Dead time, filter and notch: the part of the small time constant that is not the motor's, s.
-    fn late_s(&self) -> f64 {
+    fn lag_s(&self) -> f64 {
         self.timing.small_time_s() + self.notch.map_or(0.0, |notch| notch.lag_s())
     }
 
@@ -508,7 +511,7 @@ impl Task<'_> {
         while safe(quick)? && quick > 1e-3 {
             (quick, slow) = (0.5 * quick, quick);
         }
-        let slow = narrowed(quick, slow, |slower| safe(slower).map(|safe| !safe))?.1;
+        let slow = bisected(quick, slow, |slower| safe(slower).map(|safe| !safe))?.1;
         let reachable = bandwidth(slow)?;
         if requested > reachable {
             return Err(TuningError::Bandwidth {
@@ -522,7 +525,7 @@ impl Task<'_> {
         while faster(slow)? && slow < 1e9 {
             (quick, slow) = (slow, 2.0 * slow);
         }
-        self.by_rule(narrowed(quick, slow, faster)?.0)
+        self.by_rule(bisected(quick, slow, faster)?.0)
     }
 
     /// Modulus optimum (Kessler 1955): the large time constant is cancelled, the gain set by the sum of the small ones.
@@ -533,7 +536,7 @@ impl Task<'_> {
             return self.complex_poles(slower).ok_or(integrates);
         };
         let large_s = dominant.large_s.ok_or(integrates)?;
-        let small_time_s = slower * (dominant.small_s + self.late_s());
+        let small_time_s = slower * (dominant.small_s + self.lag_s());
         let proportional = 1.0 / (2.0 * dominant.rate * small_time_s);
         let reason = format!(
             "{rule}: Tn = {large_s:.4} s cancels the large time constant, Kp = Tn / (2 K Ts) = {proportional:.4} with the small one Ts = {:.2} ms",
@@ -547,7 +550,7 @@ impl Task<'_> {
     fn complex_poles(&self, slower: f64) -> Option<Found> {
         let (sum, product) = self.plant.denominator()?;
         let gain = self.plant.gain()?;
-        let late = self.late_s();
+        let late = self.lag_s();
         // (1 + sum s + product s^2) exp(late s) / gain = c0 + c1 s + c2 s^2 + c3 s^3 + ..
         let c0 = 1.0 / gain;
         let c1 = (sum + late) / gain;
@@ -575,7 +578,7 @@ impl Task<'_> {
             let (sum, product) = self.plant.denominator().unwrap_or((1.0, 1.0));
             (self.plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
         };
-        let small_time_s = slower * (small_s + self.late_s());
+        let small_time_s = slower * (small_s + self.lag_s());
         let Settings { damping, frequency_times_small, .. } = SETTINGS;
         let natural = frequency_times_small / small_time_s;
         if decay > damping * natural {
@@ -596,7 +599,7 @@ impl Task<'_> {
     fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
         let a = SETTINGS.a;
         let integrating = self.plant.dominant().filter(|dominant| {
-            let integral_time_s = a * a * (dominant.small_s + self.late_s());
+            let integral_time_s = a * a * (dominant.small_s + self.lag_s());
             dominant.large_s.is_none_or(|large_s| large_s > integral_time_s)
         });
         let Some(dominant) = integrating else {
@@ -607,7 +610,7 @@ impl Task<'_> {
         );
             return Ok(found);
         };
-        let small_time_s = slower * (dominant.small_s + self.late_s());
+        let small_time_s = slower * (dominant.small_s + self.lag_s());
         let proportional = 1.0 / (a * dominant.rate * small_time_s);
         let integral_time_s = a * a * small_time_s;
         let reason = format!(
@@ -631,7 +634,7 @@ fn quick_motor(rate: f64, decay: f64, natural: f64, small_time_s: f64) -> Found 
 }
 
 /// Bisection of a factor on a logarithmic scale.
-fn narrowed(
+fn bisected(
     mut low: f64,
     mut high: f64,
     is_below: impl Fn(f64) -> Result<bool, TuningError>,

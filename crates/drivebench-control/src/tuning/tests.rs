@@ -44,9 +44,9 @@ fn every_rule_holds_its_margins_over_motors_and_delays() {
 #[test]
 fn an_untuned_delay_of_two_cycles_costs_overshoot() {
     // Tuned for the hold alone.
-    let blind = tune(&plant(0.2), &timing(0.0), &request(Rule::ModulusOptimum)).unwrap();
+    let untuned = tune(&plant(0.2), &timing(0.0), &request(Rule::ModulusOptimum)).unwrap();
     let overshoot = |cycles| {
-        let shape = LoopShape::new(&plant(0.2), &timing(cycles), &blind.gains);
+        let shape = LoopShape::new(&plant(0.2), &timing(cycles), &untuned.gains);
         let trace: Vec<_> = shape.step_response(4.0).iter().map(|p| (p.time_s, p.speed)).collect();
         response(&trace, 0.0, 1.0).overshoot_percent
     };
@@ -142,8 +142,8 @@ fn the_worst_draw_keeps_margins_that_the_mean_would_lose() {
     let margins = |plant: &LinearPlant, tuning: &Tuning| {
         LoopShape::new(plant, &quick(2.0), &tuning.gains).margins()
     };
-    let blind = tune(&nominal, &quick(2.0), &rule).unwrap();
-    assert!(draws.iter().any(|plant| !is_safe(&margins(plant, &blind))));
+    let untuned = tune(&nominal, &quick(2.0), &rule).unwrap();
+    assert!(draws.iter().any(|plant| !is_safe(&margins(plant, &untuned))));
     let mut tuning = tune_over(&nominal, &draws, &quick(2.0), &rule).unwrap();
     let drawn = tuning.draws.clone().unwrap();
     assert_eq!((drawn.count, drawn.hardest.len()), (40, 8));
