@@ -10,8 +10,8 @@ use crate::runtime::files::read_text;
 use crate::runtime::opening::wired_profile;
 use crate::runtime::output::{Terminal, lines};
 use drivebench_bench::{
-    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, Foresight, Plan, Port, Reference,
-    foresee, plan,
+    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, Port,
+    Reference, plan, plan_escalation,
 };
 use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 
@@ -182,7 +182,7 @@ struct Known {
 
 #[derive(Serialize)]
 struct Unknown {
-    escalation: Option<Foresight>,
+    escalation: Option<EscalationPlan>,
     line: Option<LineBudget>,
     warnings: Vec<String>,
 }
@@ -247,8 +247,8 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
             );
             return Err(Failure::usage(headline, "complete [motor]"));
         }
-        let escalation = foresee(&bench).map_err(|error| in_file(&bench.name, error))?;
-        warnings.extend(bench.motor.doubts());
+        let escalation = plan_escalation(&bench).map_err(|error| in_file(&bench.name, error))?;
+        warnings.extend(bench.motor.contradictions());
         return Ok(Forecast::Unknown(Box::new(Unknown { escalation, line, warnings })));
     };
     let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
@@ -259,7 +259,7 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
              those of {rate_hz:.0} Hz"
         ));
     }
-    plan.warnings.extend(bench.motor.doubts());
+    plan.warnings.extend(bench.motor.contradictions());
     let mut reference = None;
     if let Some(speed) = bench.speed.as_ref().filter(|_| voltages.is_some()) {
         bench.check_speed(file, source)?;

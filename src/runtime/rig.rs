@@ -229,8 +229,8 @@ impl Rig {
         let nameplate = self.bench.nameplate().filter(|_| !self.escalates);
         let flags = controls.stop_flags();
         let stopped = move || flags.iter().any(|flag| flag.load(Ordering::Acquire));
-        let first_move = nameplate.as_ref().map(|plate| FirstMove {
-            plate,
+        let first_move = nameplate.as_ref().map(|nameplate| FirstMove {
+            nameplate,
             profile: &self.profile,
             is_withheld: at_rest,
         });
@@ -238,7 +238,7 @@ impl Rig {
             rate_hz: self.bench.link.rate_hz,
             // A screen shows SIM or HARDWARE, and a person starts by hand; without one the option is needed.
             hardware_allowed: self.options.hardware || !self.options.headless,
-            hardware_said: self.options.hardware,
+            hardware_confirmed: self.options.hardware,
             waivers: self.options.waivers,
             first_move,
             stopped: &stopped,

@@ -32,7 +32,7 @@ impl Specimen {
         let options = CheckOptions {
             rate_hz: file.link.rate_hz,
             hardware_allowed: false,
-            hardware_said: false,
+            hardware_confirmed: false,
             waivers: Waivers::default(),
             first_move: None,
             stopped: &|| false,

@@ -184,7 +184,7 @@ fn one_quadrant_goes_one_way_and_a_lost_field_trips() {
     has(
         &done.stderr,
         &[
-            "one way, as the converter goes no other",
+            "one way, as the converter has one direction",
             "field              1.000 A, a trip below 0.3 A",
         ],
     );

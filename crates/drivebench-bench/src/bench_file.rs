@@ -10,7 +10,7 @@ pub use drivebench_link::Protocol;
 use drivebench_model::config_text::{self, ConfigError};
 use drivebench_model::excitation::{self, ExcitationError, Segment};
 
-/// The bench that `commission` uses when it is given none.
+/// The bench of `commission` without a bench file.
 pub const EMBEDDED_DEFAULT: &str =
     include_str!("../../../bench-configs/benches/zk-22fc-emulated.toml");
 /// Name of the embedded bench in messages.
@@ -135,12 +135,12 @@ impl Port {
         }
     }
 
-    /// The software drive, wherever it is.
+    /// Whether the drive is the software drive.
     pub const fn is_emulated(&self) -> bool {
         matches!(self, Self::Emulator | Self::Sim | Self::SimRtu)
     }
 
-    /// Nothing there takes real time.
+    /// Whether the time of the run is virtual.
     pub const fn is_virtual(&self) -> bool {
         matches!(self, Self::Sim | Self::SimRtu)
     }
@@ -177,7 +177,7 @@ pub struct LimitsSection {
 }
 
 impl LimitsSection {
-    /// Every limit: its key, what it counts, and its place.
+    /// Key, unit and value of every limit.
     pub(super) fn rows(&mut self) -> [(&'static str, &'static str, &mut Option<f64>); 9] {
         [
             ("current_a", "A, either sign", &mut self.current_a),
@@ -248,7 +248,7 @@ impl BenchFile {
         1.0 / self.link.rate_hz
     }
 
-    /// Baud rate of the line, that of the own drive by default; the link holds that of the profile once it is known.
+    /// Baud rate of the line, as given by the bench file or set from the profile; 115,200 Bd by default.
     pub fn baud(&self) -> u32 {
         self.link.baud.unwrap_or(115_200)
     }
@@ -261,7 +261,7 @@ impl BenchFile {
     pub fn limits(&self) -> Limits {
         let rate_hz = self.link.rate_hz;
         let defaults = match self.motor.nameplate() {
-            Some(plate) => Limits::for_motor(&plate, rate_hz),
+            Some(nameplate) => Limits::for_motor(&nameplate, rate_hz),
             None => Limits::for_rated(&self.motor, rate_hz),
         };
         let (given, bounds) = (&self.limits, &self.drive_facts.bounds);
@@ -314,56 +314,57 @@ impl BenchFile {
         self.program(self.runs.fit).map(drop).map_err(error)
     }
 
-    /// The first value that is not allowed: key, value and what is.
+    /// The first value that is not allowed: key, value and what is allowed.
     fn refused(&self) -> Option<(String, String, &'static str)> {
         let (link, limits) = (&self.link, self.limits());
         let (load, supply) = (&self.load, &self.supply);
-        let no = |key: &str, value: String, allowed| Some((key.to_owned(), value, allowed));
+        let not_allowed =
+            |key: &str, value: String, allowed| Some((key.to_owned(), value, allowed));
         if self.name.is_empty() || self.name.contains(['/', '\\']) {
             let allowed = "a name that can stand in a folder's name";
-            return no("name", format!("{:?}", self.name), allowed);
+            return not_allowed("name", format!("{:?}", self.name), allowed);
         }
         if Port::parse(&link.port).is_none() {
-            return no("link.port", format!("{:?}", link.port), PORTS);
+            return not_allowed("link.port", format!("{:?}", link.port), PORTS);
         }
         if !(1.0..=2000.0).contains(&link.rate_hz) {
-            return no("link.rate_hz", link.rate_hz.to_string(), "1 to 2000");
+            return not_allowed("link.rate_hz", link.rate_hz.to_string(), "1 to 2000");
         }
         let bad_ms = link.deadline_ms.filter(|ms| !(0.5..=10_000.0).contains(ms));
         if let Some(ms) = bad_ms {
-            return no("link.deadline_ms", ms.to_string(), "0.5 to 10000");
+            return not_allowed("link.deadline_ms", ms.to_string(), "0.5 to 10000");
         }
         if let Some((key, value)) = self.motor.refused() {
-            return no(&format!("motor.{key}"), value.to_string(), POSITIVE);
+            return not_allowed(&format!("motor.{key}"), value.to_string(), POSITIVE);
         }
         for (key, _, value) in self.limits.clone().rows() {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
                 let key = format!("limits.{key}");
-                return no(&key, value.to_string(), "a positive number");
+                return not_allowed(&key, value.to_string(), "a positive number");
             }
         }
         let mechanics = load.refused(limits.current_a).or_else(|| supply.refused());
         if let Some((key, value, allowed)) = mechanics {
-            return no(key, value, allowed);
+            return not_allowed(key, value, allowed);
         }
         if load.vertical && self.motor.is_unknown() {
             let allowed =
                 "a known motor: the small steps that find an unknown one would let the load fall";
-            return no("load.vertical", "true".to_owned(), allowed);
+            return not_allowed("load.vertical", "true".to_owned(), allowed);
         }
         let parts = 1..=self.sequence.len();
         if let Some(part) = self.runs.burst_at.filter(|part| !parts.contains(part)) {
             let allowed = "the number of a part of the sequence, from 1";
-            return no("runs.burst_at", part.to_string(), allowed);
+            return not_allowed("runs.burst_at", part.to_string(), allowed);
         }
         // The wait for one reply must not count as silence.
         if limits.link_silence_s < self.period_s() + self.deadline_s() {
             let silence = limits.link_silence_s.to_string();
             let allowed = "at least one period of link.rate_hz and link.deadline_ms together";
-            return no("limits.link_silence_s", silence, allowed);
+            return not_allowed("limits.link_silence_s", silence, allowed);
         }
         let (low, _) = limits.bus_min_v.zip(limits.bus_max_v).filter(|(low, high)| low >= high)?;
-        no("limits.bus_min_v", low.to_string(), "less than limits.bus_max_v")
+        not_allowed("limits.bus_min_v", low.to_string(), "less than limits.bus_max_v")
     }
 
     /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.

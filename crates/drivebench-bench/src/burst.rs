@@ -22,10 +22,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_burst_pays_where_the_loop_is_slower_than_the_current() {
+    fn a_burst_is_for_a_period_longer_than_l_over_r() {
         let mut bench = BenchFile::embedded_default();
         let motor = bench.nameplate().unwrap();
-        // L/R is 9 ms, the period 10 ms; the first part stands still, and so does the shaft in the second.
+        // L/R is 9 ms, the period 10 ms; the first two parts have no jump.
         assert_eq!(burst_part(&bench, &motor), Some(3));
         bench.link.rate_hz = 200.0;
         assert_eq!(burst_part(&bench, &motor), None);

@@ -63,12 +63,12 @@ pub struct Waivers {
 #[derive(Clone, Copy)]
 pub struct CheckOptions<'a> {
     pub rate_hz: f64,
-    /// This may be real hardware: by the option, or because a screen is open.
+    /// Real hardware is allowed: by the option, or because a screen is open.
     pub hardware_allowed: bool,
-    /// Real hardware may move: by the option.
-    pub hardware_said: bool,
+    /// Real hardware is allowed by the option.
+    pub hardware_confirmed: bool,
     pub waivers: Waivers,
-    /// `None`: the motor is not known, and what finds it begins with steps that are as small.
+    /// `None`: the motor is not known; the escalation begins with equally small steps.
     pub first_move: Option<FirstMove<'a>>,
     /// Stop requested: from then on nothing is energised.
     pub stopped: &'a (dyn Fn() -> bool + Send + Sync),
@@ -162,7 +162,7 @@ pub fn check(
     let identity = link.identify()?;
     let kind = commanded(link.zero());
     let hold =
-        options.first_move.map_or((0.0, 0.0), |first| pulse::hold(kind, first.plate, limits));
+        options.first_move.map_or((0.0, 0.0), |first| pulse::hold(kind, first.nameplate, limits));
     let mut checker = Checker {
         zero: kind.demand(hold.0),
         hold,
@@ -247,7 +247,7 @@ enum Reached {
 
 impl Checker<'_> {
     fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), CheckError> {
-        let go_on = self.identity(options.hardware_allowed, options.hardware_said)
+        let go_on = self.identity(options.hardware_allowed, options.hardware_confirmed)
             && self.limits(limits)
             && self.rate(options.rate_hz)
             && self.is_not_running()
@@ -257,7 +257,7 @@ impl Checker<'_> {
             && self.load(limits)
             && self.watchdog(limits, options.waivers.watchdog)?
             && self.first_move(limits, options)?;
-        // The order is the point: nothing after a failed check is tried.
+        // Nothing after a failed check is tried.
         debug_assert_eq!(go_on, self.report.passed());
         Ok(())
     }
@@ -290,11 +290,11 @@ impl Checker<'_> {
         self.note(name, true, format!("WAIVED: {text}"), help)
     }
 
-    fn identity(&mut self, hardware_allowed: bool, hardware_said: bool) -> bool {
+    fn identity(&mut self, hardware_allowed: bool, hardware_confirmed: bool) -> bool {
         let identity = &self.report.identity;
         let who = identity.sentence();
         let passed = identity.is_emulator || hardware_allowed;
-        if !identity.is_emulator && hardware_said {
+        if !identity.is_emulator && hardware_confirmed {
             self.report.waived.push("hardware");
         }
         let help = "this drive does not identify itself as an emulator: pass --hardware if the motor may move";
@@ -319,7 +319,7 @@ impl Checker<'_> {
             _ => "the drive stays in fault",
         };
         let passed = cleared && last != Some(DriveState::Running);
-        let help = "mend the cause of the fault; take the run command away (keypad, terminals, another master)";
+        let help = "remove the cause of the fault, and the run command (keypad, terminals, another master)";
         Ok(self.note("reset", passed, text, help))
     }
 
@@ -330,7 +330,7 @@ impl Checker<'_> {
                 "a vertical load is not moved without its brake described: {key} is left out"
             ),
             (None, Some(brake)) => format!(
-                "vertical, held by {} A; brake opens in {} s and closes in {} s, worked by the drive: the bench keeps order and times",
+                "vertical, held by {} A; brake opens in {} s and closes in {} s, operated by the drive: the bench keeps order and times",
                 brake.hold_current_a, brake.release_s, brake.apply_s
             ),
             (None, None) => return true,
@@ -357,7 +357,7 @@ impl Checker<'_> {
         }
         let passed = identity.voltage_limit_v.is_none_or(|volts| volts >= limits.voltage_v);
         let help =
-            "the drive cannot give the voltage that the bench may ask for: lower limits.voltage_v";
+            "the drive cannot give the voltage that the bench may command: lower limits.voltage_v";
         self.note("limits", passed, read, help)
     }
 

@@ -21,7 +21,7 @@ pub trait Clock: Send {
         0.0
     }
 
-    /// Whether time passes by itself. A virtual clock stands while the program computes.
+    /// Whether time passes by itself; a virtual clock advances only by waiting.
     fn is_real(&self) -> bool;
 }
 
@@ -43,7 +43,7 @@ impl MonotonicClock {
         }
     }
 
-    /// The instant that its zero stands for, so that a link can stamp in the same time.
+    /// The instant of its zero, so that a link can stamp in the same time.
     pub const fn origin(&self) -> Instant {
         self.origin
     }
@@ -55,9 +55,9 @@ impl Clock for MonotonicClock {
     }
 
     fn sleep_until_s(&mut self, until_s: f64) {
-        let left_s = until_s - self.now_s();
-        if left_s > 0.0 {
-            std::thread::sleep(Duration::from_secs_f64(left_s));
+        let remaining_s = until_s - self.now_s();
+        if remaining_s > 0.0 {
+            std::thread::sleep(Duration::from_secs_f64(remaining_s));
         }
     }
 
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn real_waiting_never_ends_early_and_is_no_suspension() {
+    fn a_wait_does_not_end_early_and_is_no_suspension() {
         let mut clock = MonotonicClock::start();
         let until_s = clock.now_s() + 0.002;
         clock.sleep_until_s(until_s);

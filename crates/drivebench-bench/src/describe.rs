@@ -8,7 +8,7 @@ use crate::recording::{Layout, Manifest};
 use drivebench_link::LinkName;
 use drivebench_model::sample::{Channel, Origin};
 
-/// Columns of `samples.csv`: the command, and what the drive was found to give.
+/// Columns of `samples.csv`: the command, and the signals that the drive gives.
 pub fn layout(signals: &[Channel]) -> Layout {
     with_commands(&[Channel::VoltageCmd], signals)
 }
@@ -24,8 +24,8 @@ fn with_commands(commands: &[Channel], signals: &[Channel]) -> Layout {
     Layout::of_drive(&channels)
 }
 
-/// A manifest with the bench as used, the drive as found and the origin of each signal. A quantity that the drive
-/// computes instead of measuring is for the drive profile to mark with `Manifest::set_origin`.
+/// A manifest with the bench as used, the identity of the drive and the origin of each signal. The drive profile marks a
+/// quantity that the drive computes instead of measuring (`Manifest::set_origin`).
 pub fn manifest(
     bench: &BenchFile,
     run_seed: u64,
@@ -45,8 +45,7 @@ pub fn manifest(
     };
     manifest.configs.insert("bench".to_owned(), bench.to_toml());
     manifest.set_origin(Channel::VoltageCmd, Origin::Commanded);
-    let signals = report.signals.iter();
-    for channel in signals.filter(|channel| !channel.is_commanded()) {
+    for channel in report.signals.iter().filter(|channel| !channel.is_commanded()) {
         manifest.set_origin(*channel, Origin::Measured);
     }
     manifest.waivers = report.waived.iter().map(|&name| name.to_owned()).collect();

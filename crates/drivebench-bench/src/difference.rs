@@ -77,7 +77,7 @@ mod tests {
 
     #[test]
     fn a_number_survives_the_text_of_a_result() {
-        // Only a parser that rounds correctly gives every number back: the last digit of many is at stake.
+        // Only a parser with correct rounding returns every number to the last bit.
         let mut bits: u64 = 0x1234_5678_9abc_def0;
         for _ in 0..20_000 {
             bits = bits.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);

@@ -2,8 +2,8 @@
 //! the motor that was found.
 //!
 //! ```text
-//! BenchFile -> Bounds -> identification::escalation -> Stage -> Session with its own slew, goals and winding limit
-//! found motor + sequence -> scale -> the same sequence, as much smaller and slower as the limits ask for
+//! BenchFile -> Bounds -> drivebench_identify::escalation -> Stage -> Session with slew, goals and winding limit of the stage
+//! found motor + sequence -> scale -> the same sequence, reduced until the plan keeps every limit
 //! ```
 
 use serde::Serialize;
@@ -35,9 +35,9 @@ pub fn bounds(bench: &BenchFile) -> Bounds {
     }
 }
 
-/// The identification of an unknown motor, as far as it is settled before the first small step.
+/// The identification of an unknown motor, as far as it is known before the first small step.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Foresight {
+pub struct EscalationPlan {
     /// The first stage; every later one follows from the measurements.
     pub first: Stage,
     pub duration_s: f64,
@@ -51,14 +51,14 @@ pub struct Foresight {
 }
 
 /// The escalation before its first step.
-pub fn foresee(bench: &BenchFile) -> Result<Option<Foresight>, ExcitationError> {
+pub fn plan_escalation(bench: &BenchFile) -> Result<Option<EscalationPlan>, ExcitationError> {
     let escalation = Escalation::new(bounds(bench));
     let Some(first) = escalation.stage() else {
         return Ok(None);
     };
     let session = excitation::Program::new(&first.segments, first.slew_v_per_s)?;
     let limits = bench.limits();
-    Ok(Some(Foresight {
+    Ok(Some(EscalationPlan {
         duration_s: session.duration_s(),
         current_limit_a: limits.current_a,
         speed_limit_rad_s: limits.speed_rad_s,
@@ -104,9 +104,9 @@ pub fn scale(
 ) -> Result<Result<Scaled, Refusal>, ModelError> {
     let mut bench = bench.clone();
     bench.motor = found.into();
-    let own_slew = Limits::for_motor(found, bench.link.rate_hz).slew_v_per_s;
-    let given_slew = bench.limits.slew_v_per_s.unwrap_or(own_slew);
-    let tried = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
+    let found_slew = Limits::for_motor(found, bench.link.rate_hz).slew_v_per_s;
+    let given_slew = bench.limits.slew_v_per_s.unwrap_or(found_slew);
+    let scaled_by = |factor: f64, slew_v_per_s: f64| -> Result<Option<Scaled>, ModelError> {
         let mut scaled = bench.clone();
         scaled.limits.slew_v_per_s = Some(slew_v_per_s);
         for volts in scaled.sequence.iter_mut().flat_map(|segment| cells(segment).volts) {
@@ -132,20 +132,20 @@ pub fn scale(
         }
         Ok(first.map(|plan| Scaled { bench: scaled, factor, slew_v_per_s, plan, refusal: None }))
     };
-    let whole = tried(1.0, given_slew)?;
+    let full = scaled_by(1.0, given_slew)?;
     let first_refusal = |scaled: &Scaled| scaled.plan.refusals.first().cloned();
-    let mut refusal = whole.as_ref().and_then(first_refusal);
-    if let Some(whole) = whole.filter(|_| refusal.is_none()) {
-        return Ok(Ok(whole));
+    let mut refusal = full.as_ref().and_then(first_refusal);
+    if let Some(full) = full.filter(|_| refusal.is_none()) {
+        return Ok(Ok(full));
     }
     let unchanged = refusal.clone();
     let mut factor: f64 = 1.0;
     while factor >= 0.03 {
         // The given slew belongs to another motor; that of the found motor draws two rated currents. Where that exceeds a
         // limit, smaller voltages are reached in the same time.
-        let slew = given_slew.min(own_slew);
+        let slew = given_slew.min(found_slew);
         for slew_v_per_s in [slew, slew * factor.max(0.3)] {
-            if let Some(mut scaled) = tried(factor, slew_v_per_s)? {
+            if let Some(mut scaled) = scaled_by(factor, slew_v_per_s)? {
                 refusal = first_refusal(&scaled);
                 if refusal.is_none() {
                     scaled.refusal = unchanged;
@@ -159,7 +159,7 @@ pub fn scale(
         segment: "sequence".to_owned(),
         quantity: "slew",
         predicted: given_slew,
-        limit: own_slew,
+        limit: found_slew,
         unit: "V/s",
     })))
 }

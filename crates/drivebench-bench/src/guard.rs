@@ -1,4 +1,4 @@
-//! The guard: every command and every sample passes through it. Pure; time comes in.
+//! The guard: every command and every sample passes through it. Time is an argument.
 //!
 //! ```text
 //! wanted demand -> shape (slew, voltage, winding) -> demand to the drive      every change of a demand is reported
@@ -31,7 +31,7 @@ struct Thresholds {
     silence_end_s: f64,
     /// Successive samples without a watched signal, or with the same drive time, that end the run.
     successive: u32,
-    /// A drive that left the state of running by itself is given this long (one late status word), s.
+    /// Longest time in another state after the drive has left that of running by itself (one late status word), s.
     left_running_s: f64,
     /// Measured voltage over the commanded limit: ripple, noise and calibration of the drive.
     voltage_margin: f64,
@@ -148,7 +148,7 @@ impl Guard {
     /// winding's bound holds over all speeds that it may have reached.
     #[must_use]
     pub fn with_period(mut self, period_s: f64) -> Self {
-        self.shaper.set_period(period_s);
+        self.shaper.fresh_s = shape::FRESH_PERIODS * period_s;
         self
     }
 
@@ -247,11 +247,11 @@ impl Guard {
         if let Some(last_s) = self.last_step_s {
             let gap_s = now_s - last_s;
             if !gap_s.is_finite() || gap_s < 0.0 {
-                return self.late(TripKind::ClockStuck, last_s, (gap_s, 0.0), "host time ran back");
+                return self.trip(TripKind::ClockStuck, last_s, (gap_s, 0.0), "host time ran back");
             }
             if gap_s > limit_s {
                 self.last_step_s = Some(now_s);
-                return self.late(TripKind::HostGap, now_s, (gap_s, limit_s), "no step was taken");
+                return self.trip(TripKind::HostGap, now_s, (gap_s, limit_s), "no step was taken");
             }
         }
         self.last_step_s = Some(now_s);
@@ -263,18 +263,18 @@ impl Guard {
             let times_s = (silent_s, limit_s);
             return match self.refusal.take() {
                 Some(message) => self.latch(Trip::refused(now_s, times_s, &message)),
-                None => self.late(TripKind::LinkSilence, now_s, times_s, "no valid reply"),
+                None => self.trip(TripKind::LinkSilence, now_s, times_s, "no valid reply"),
             };
         }
         let since_s = self.counts.on_since_s;
         let on_s = self.counts.on_total_s + since_s.map_or(0.0, |since_s| now_s - since_s);
         if on_s > self.limits.time_s {
-            return self.late(TripKind::TimeLimit, now_s, (on_s, self.limits.time_s), "output on");
+            return self.trip(TripKind::TimeLimit, now_s, (on_s, self.limits.time_s), "output on");
         }
         None
     }
 
-    fn late(
+    fn trip(
         &mut self,
         kind: TripKind,
         at_s: f64,
@@ -314,7 +314,7 @@ impl Guard {
         }
     }
 
-    /// One valid reply. With `armed` false (output off) it only registers the signals and the life of the link.
+    /// One valid reply. With `armed` false (output off) it only registers the signals and the time of the reply.
     pub fn watch(&mut self, now_s: f64, sample: &Sample, armed: bool) -> Option<&Trip> {
         self.last_valid_s = Some(now_s);
         self.refusal = None;
@@ -331,7 +331,7 @@ impl Guard {
         if armed && self.counts.angle_origin_rad.is_none() {
             self.counts.angle_origin_rad = sample.get(Channel::Angle);
         }
-        let doubt = self.plausibility.check(now_s, sample, armed);
+        let implausible = self.plausibility.check(now_s, sample, armed);
         let found = if armed && self.trip.is_none() {
             // The field first: a drive that detects its loss too reports no more than a fault.
             self.field(now_s, sample)
@@ -344,7 +344,7 @@ impl Guard {
                 .or_else(|| self.lost_signal(now_s, sample))
                 .or_else(|| self.switched_on_again(now_s, sample))
                 .or_else(|| self.stuck_clock(now_s, sample.time_s, is_newer))
-                .or(doubt)
+                .or(implausible)
         } else {
             None
         };
@@ -355,14 +355,14 @@ impl Guard {
     }
 
     /// Estimates the noise of the sensors from readings at rest.
-    pub fn learn(&mut self, rest: &[Sample]) {
-        self.plausibility.learn(rest);
+    pub fn estimate_noise(&mut self, rest: &[Sample]) {
+        self.plausibility.estimate_noise(rest);
     }
 
     /// Frames of another master write to the drive, which no longer follows these commands.
     pub fn other_master(&mut self, now_s: f64, frames: u64) -> Option<&Trip> {
         let what = format!(
-            "{frames} frames on the line write to this drive and are not ours; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
+            "{frames} frames on the line write to this drive and are not of this host; its set-points are no longer the commanded ones; disconnect the other master, or take its write access"
         );
         self.latch(Trip::new(TripKind::OtherMaster, now_s, (frames as f64, 0.0), what))
     }
@@ -376,14 +376,14 @@ impl Guard {
         Some(self.trip.insert(trip))
     }
 
-    /// The demand that may leave: as wanted, or within the limits, or zero output after a trip.
+    /// The demand to be sent: as requested, or within the limits, or zero output after a trip.
     pub fn shape(&mut self, now_s: f64, wanted: Demand) -> Shaped {
         if self.trip.is_some() {
             self.shaper.rest(now_s);
             return Shaped::unchanged(Demand::Stop);
         }
-        let is_believed = self.plausibility.believes_speed();
-        let shaped = self.shaper.shape(now_s, wanted, &self.limits, is_believed);
+        let is_plausible = self.plausibility.speed_is_plausible();
+        let shaped = self.shaper.shape(now_s, wanted, &self.limits, is_plausible);
         self.switch(now_s, shaped.demand.energises());
         shaped
     }

@@ -155,7 +155,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     }
     let voltages = offer::refusal(profile, Purpose::Voltages);
     let speed_loop = offer::refusal(profile, Purpose::SpeedLoop);
-    let mut remarks = motor.doubts();
+    let mut remarks = motor.contradictions();
     remarks.extend(offer::remarks(profile));
     let purpose = match (&voltages, &speed_loop) {
         (None, _) => InitUse::Voltages,

@@ -51,7 +51,7 @@ pub use clock::{Clock, MonotonicClock};
 pub use describe::{layout, layout_with_reference, manifest};
 pub use difference::{Difference, first_difference};
 pub use drivebench_emulator::VirtualClock;
-pub use escalate::{Foresight, Scaled, bounds, foresee, scale, stage_session};
+pub use escalate::{EscalationPlan, Scaled, bounds, plan_escalation, scale, stage_session};
 pub use guard::{Causes, Guard, RestError, Shaped};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Readback, Reasoned, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
@@ -59,7 +59,7 @@ pub use live_online::{
     Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,
 };
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
-pub use pilot::{Pilot, PilotNews, Program};
+pub use pilot::{Pilot, PilotEvent, Program};
 pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
 pub use plausibility::Plausibility;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
@@ -69,7 +69,7 @@ pub use snapshot::{InnovationPoint, Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{
     ControllerKind, Design, ForwardUse, GainChange, GainsSection, LoopDelay, PilotSettings,
     Reference, ReferenceError, ReferencePart, ReferenceStep, Regulator, RegulatorError, SpeedPilot,
-    SpeedReport, SpeedSection, StepFigures, Tracking, Watched, check_kinship, measure_delay,
+    SpeedReport, SpeedSection, StepFigures, Tracking, Watched, check_motor, measure_delay,
     timing as loop_timing,
 };
 pub use stop::{LastSeconds, Stop};

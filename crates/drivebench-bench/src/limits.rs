@@ -86,7 +86,7 @@ impl MotorSection {
         self.unknown || self.nameplate().is_none()
     }
 
-    /// The whole plate; `None` where a value is left out.
+    /// The complete nameplate; `None` where a value is left out.
     pub fn nameplate(&self) -> Option<Nameplate> {
         self.with_found(&self.motor())
     }
@@ -100,14 +100,14 @@ impl MotorSection {
     }
 
     /// Contradictions in the nameplate, most likely by another unit, in sentences. The values are used all the same.
-    pub fn doubts(&self) -> Vec<String> {
+    pub fn contradictions(&self) -> Vec<String> {
         let rated_v = self.rated_voltage_v;
-        let mut doubts = Vec::new();
+        let mut contradictions = Vec::new();
         if let Some(back_emf) = self.back_emf_v_s_per_rad {
             let emf_v = back_emf * self.rated_speed_rad_s;
             // A correct one is below the rated voltage.
             if emf_v > 1.5 * rated_v {
-                doubts.push(format!(
+                contradictions.push(format!(
                     "the nameplate contradicts itself: back_emf_v_s_per_rad x rated_speed_rad_s is {emf_v:.0} V at a rated voltage of {rated_v} V. Was the speed given in r/min? {} r/min would be {:.1} rad/s",
                     self.rated_speed_rad_s,
                     rad_s_from_rpm(self.rated_speed_rad_s)
@@ -117,12 +117,12 @@ impl MotorSection {
         if let Some(resistance) = self.resistance_ohm {
             let drop_v = resistance * self.rated_current_a;
             if drop_v > rated_v {
-                doubts.push(format!(
+                contradictions.push(format!(
                     "the nameplate contradicts itself: resistance_ohm x rated_current_a is {drop_v:.0} V at a rated voltage of {rated_v} V. Was the current given in mA, or the resistance in mohm?"
                 ));
             }
         }
-        doubts
+        contradictions
     }
 
     /// The nameplate without friction where only `load_torque_n_m` is left out: enough to predict a sequence.
@@ -156,18 +156,18 @@ impl MotorSection {
 }
 
 impl From<&Nameplate> for MotorSection {
-    fn from(plate: &Nameplate) -> Self {
+    fn from(nameplate: &Nameplate) -> Self {
         Self {
-            name: plate.name.clone(),
+            name: nameplate.name.clone(),
             unknown: false,
-            rated_voltage_v: plate.rated_voltage_v,
-            rated_current_a: plate.rated_current_a,
-            rated_speed_rad_s: plate.rated_speed_rad_s,
-            resistance_ohm: Some(plate.resistance_ohm),
-            inductance_h: Some(plate.inductance_h),
-            back_emf_v_s_per_rad: Some(plate.back_emf_v_s_per_rad),
-            inertia_kg_m2: Some(plate.inertia_kg_m2),
-            load_torque_n_m: Some(plate.load_torque_n_m),
+            rated_voltage_v: nameplate.rated_voltage_v,
+            rated_current_a: nameplate.rated_current_a,
+            rated_speed_rad_s: nameplate.rated_speed_rad_s,
+            resistance_ohm: Some(nameplate.resistance_ohm),
+            inductance_h: Some(nameplate.inductance_h),
+            back_emf_v_s_per_rad: Some(nameplate.back_emf_v_s_per_rad),
+            inertia_kg_m2: Some(nameplate.inertia_kg_m2),
+            load_torque_n_m: Some(nameplate.load_torque_n_m),
         }
     }
 }
@@ -268,19 +268,22 @@ mod tests {
 
     #[test]
     fn a_nameplate_in_other_units_is_doubted() {
-        let plate = BenchFile::embedded_default().motor;
-        assert_eq!(plate.doubts(), Vec::<String>::new());
-        let in_rpm = MotorSection { rated_speed_rad_s: 2800.0, ..plate.clone() };
-        has(in_rpm.doubts().join(" "), "2800 r/min would be 293.2 rad/s");
-        has(&MotorSection { rated_current_a: 5700.0, ..plate }.doubts()[0], "given in mA");
+        let nameplate = BenchFile::embedded_default().motor;
+        assert_eq!(nameplate.contradictions(), Vec::<String>::new());
+        let in_rpm = MotorSection { rated_speed_rad_s: 2800.0, ..nameplate.clone() };
+        has(in_rpm.contradictions().join(" "), "2800 r/min would be 293.2 rad/s");
+        has(
+            &MotorSection { rated_current_a: 5700.0, ..nameplate }.contradictions()[0],
+            "given in mA",
+        );
     }
 
     #[test]
     fn the_default_slew_of_the_paper_motor_is_the_recommended_one() {
         let motor = Nameplate::zk_22fc();
         let limits = Limits::for_motor(&motor, 100.0);
-        // 300 to 500 V/s are advisable for 0.0045 kg.m2.
-        within(limits.slew_v_per_s, 250.0..500.0);
+        // 2 I Ke^2/J = 317 V/s; 300 to 500 V/s are advisable for 0.0045 kg.m2.
+        within(limits.slew_v_per_s, 300.0..500.0);
         near(limits.link_silence_s, 0.1, 1e-12);
         near(Limits::for_motor(&motor, 10.0).link_silence_s, 0.3, 1e-12);
     }

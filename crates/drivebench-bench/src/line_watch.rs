@@ -1,5 +1,5 @@
-//! Alarms of the line: late replies, foreign frames, unexpected frames, a lost rate. Pure: counts and times go in. Each alarm is
-//! reported at its begin, at each tenfold increase, and at its end.
+//! Alarms of the line: late replies, foreign frames, unexpected frames, a lost rate. Counts and times are arguments. Each alarm
+//! is reported at its start, at each tenfold increase, and at its end.
 
 use std::collections::VecDeque;
 
@@ -8,13 +8,13 @@ use drivebench_link::LineCounts;
 
 pub(super) const FOREIGN_WRITES: &str = "foreign_writes";
 /// An alarm that grows by this factor is reported again.
-const WORSE: u64 = 10;
+const GROWTH: u64 = 10;
 /// An alarm ends after this time without a new frame, s.
-const OVER_S: f64 = 10.0;
+const QUIET_S: f64 = 10.0;
 
 /// A notice with its event.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct News {
+pub(super) struct LineReport {
     pub(super) event: &'static str,
     /// Frames, or achieved Hz.
     pub(super) figure: f64,
@@ -87,7 +87,7 @@ impl LineWatch {
                 alarm(
                     [FOREIGN_WRITES, "foreign_writes_end"],
                     2,
-                    "on the line write to this drive and are not ours: another master commands it",
+                    "on the line write to this drive and are not of this host: another master commands it",
                     "writes of another master",
                 ),
             ],
@@ -98,7 +98,7 @@ impl LineWatch {
     }
 
     /// Frames that the line has carried up to now.
-    pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<News> {
+    pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<LineReport> {
         let counts =
             [line.stale_frames, line.foreign_frames, line.unasked_frames, line.foreign_writes];
         let alarms = self.alarms.iter_mut().zip(counts);
@@ -112,7 +112,7 @@ impl LineWatch {
         took_s: f64,
         answered: bool,
         line: LineCounts,
-    ) -> Option<News> {
+    ) -> Option<LineReport> {
         // The achieved rate is that of 1 s and of ten cycles at least.
         let window_s = (10.0 / self.rate_hz).max(1.0);
         let begun_s = *self.since_s.get_or_insert(now_s);
@@ -131,7 +131,7 @@ impl LineWatch {
                 let text = format!("the rate is back at {achieved_hz:.1} Hz");
                 (Level::Info, "rate_regained", text)
             }
-            Some(lost_hz) if achieved_hz * WORSE as f64 > lost_hz => return None,
+            Some(lost_hz) if achieved_hz * GROWTH as f64 > lost_hz => return None,
             None if achieved_hz >= 0.9 * self.rate_hz => return None,
             _ => {
                 self.lost_hz = Some(achieved_hz.max(f64::MIN_POSITIVE));
@@ -143,11 +143,11 @@ impl LineWatch {
                 (Level::Warning, "rate_lost", text)
             }
         };
-        Some(News { event, figure: achieved_hz, notice: Notice { level, text } })
+        Some(LineReport { event, figure: achieved_hz, notice: Notice { level, text } })
     }
 
-    /// Between two runs.
-    pub(super) fn rest(&mut self) {
+    /// Clears the exchanges of a finished run.
+    pub(super) fn reset(&mut self) {
         self.window.clear();
         self.since_s = None;
         self.lost_hz = None;
@@ -182,17 +182,17 @@ impl LineWatch {
 }
 
 impl Alarm {
-    fn update(&mut self, now_s: f64, count: u64) -> Option<News> {
+    fn update(&mut self, now_s: f64, count: u64) -> Option<LineReport> {
         if count != self.count {
             (self.count, self.count_s) = (count, now_s);
         }
         let frames = count - self.before;
         let begins = self.reported == 0 && frames >= self.least;
-        let grows = self.reported > 0 && frames >= WORSE * self.reported;
-        let ends = self.reported > 0 && now_s - self.count_s > OVER_S;
+        let grows = self.reported > 0 && frames >= GROWTH * self.reported;
+        let ends = self.reported > 0 && now_s - self.count_s > QUIET_S;
         let (event, level, text) = if ends {
             (self.before, self.reported) = (count, 0);
-            let text = format!("no more {} for {OVER_S} s; {frames} in all", self.ended);
+            let text = format!("no more {} for {QUIET_S} s; {frames} in all", self.ended);
             (self.events[1], Level::Info, text)
         } else if begins || grows {
             self.reported = frames;
@@ -201,7 +201,7 @@ impl Alarm {
         } else {
             return None;
         };
-        Some(News { event, figure: frames as f64, notice: Notice { level, text } })
+        Some(LineReport { event, figure: frames as f64, notice: Notice { level, text } })
     }
 }
 
@@ -221,8 +221,8 @@ mod tests {
         for k in 0..3000_u32 {
             let now_s = f64::from(k) * 0.02;
             let stale = u64::from(k.clamp(100, 250) - 100);
-            for news in watch.frames(now_s, line(stale, 0)) {
-                reports.push((k, news.event, news.figure));
+            for report in watch.frames(now_s, line(stale, 0)) {
+                reports.push((k, report.event, report.figure));
             }
         }
         let events: Vec<_> = reports.iter().map(|(k, event, _)| (*k, *event)).collect();
@@ -241,7 +241,7 @@ mod tests {
             resync_ms += if slow { 10 } else { 0 };
             reports.extend(watch.exchange(now_s, 0.012, true, line(1, resync_ms)));
         }
-        let events: Vec<_> = reports.iter().map(|news| news.event).collect();
+        let events: Vec<_> = reports.iter().map(|report| report.event).collect();
         assert_eq!(events, ["rate_lost", "rate_regained"], "{reports:?}");
         let text = &reports[0].notice.text;
         has(text, "of 50 Hz");

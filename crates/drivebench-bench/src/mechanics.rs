@@ -15,7 +15,7 @@ pub(super) type Refused = (&'static str, String, &'static str);
 pub struct LoadSection {
     /// The load falls when nothing holds it.
     pub vertical: bool,
-    /// Current that holds the load at rest, with its sign, A: asked for before the brake opens.
+    /// Current that holds the load at rest, with its sign, A: commanded before the brake opens.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hold_current_a: Option<f64>,
     /// From the command to run until the brake is open, s.
@@ -69,7 +69,7 @@ impl LoadSection {
     pub(super) fn refused(&self, current_limit_a: f64) -> Option<Refused> {
         for (key, value) in self.keys() {
             let Some(value) = value else { continue };
-            let (good, allowed) = match key {
+            let (is_allowed, allowed) = match key {
                 _ if !self.vertical => (false, "nothing without load.vertical = true"),
                 "load.hold_current_a" => (
                     value != 0.0 && value.abs() < current_limit_a,
@@ -77,7 +77,7 @@ impl LoadSection {
                 ),
                 _ => ((0.0..=10.0).contains(&value), "0 to 10 s"),
             };
-            if !good {
+            if !is_allowed {
                 return Some((key, value.to_string(), allowed));
             }
         }
@@ -91,7 +91,7 @@ impl LoadSection {
 pub struct SupplySection {
     /// The supply takes braking energy back, or stores it.
     pub regenerates: bool,
-    /// Power of the brake resistor, W; beside it only the motor's own winding takes braking energy.
+    /// Power of the brake resistor, W; without one only the motor's winding dissipates braking energy.
     pub brake_power_w: Option<f64>,
 }
 

@@ -37,12 +37,12 @@ impl Program for excitation::Program {
 }
 
 #[derive(Clone, Debug, PartialEq)]
-pub enum PilotNews {
+pub enum PilotEvent {
     Gains(String),
     Watch(String),
 }
 
-/// One run's source of demands, driven by the session; time comes in.
+/// One run's source of demands, called by the session; time is an argument.
 ///
 /// In each cycle `demand` is called first, then `sent` with the command as shaped by the guard, then `sample`, unless the reply
 /// was lost.
@@ -77,7 +77,7 @@ pub trait Pilot: Send {
     }
 
     /// The next line of the log since the last cycle.
-    fn news(&mut self) -> Option<PilotNews> {
+    fn next_event(&mut self) -> Option<PilotEvent> {
         None
     }
 
@@ -95,7 +95,7 @@ pub(super) struct OpenLoop {
 }
 
 impl OpenLoop {
-    fn held(&self, demand: Demand) -> Demand {
+    fn with_hold(&self, demand: Demand) -> Demand {
         match demand {
             Demand::Voltage(volts) => Demand::Voltage(volts + self.hold),
             Demand::Current(amps) => Demand::Current(amps + self.hold),
@@ -118,7 +118,7 @@ impl Pilot for OpenLoop {
     }
 
     fn zero(&self) -> Demand {
-        self.held(match self.program.demand_at(0.0) {
+        self.with_hold(match self.program.demand_at(0.0) {
             Demand::Current(_) => Demand::Current(0.0),
             Demand::Speed(_) => Demand::Speed(0.0),
             _ => Demand::Voltage(0.0),
@@ -126,6 +126,6 @@ impl Pilot for OpenLoop {
     }
 
     fn demand(&mut self, _now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
-        Ok(self.held(self.program.demand_at(elapsed_s)))
+        Ok(self.with_hold(self.program.demand_at(elapsed_s)))
     }
 }

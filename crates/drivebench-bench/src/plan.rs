@@ -143,7 +143,7 @@ pub fn plan(
     };
     let ramp_s = predicted.last.voltage_v.abs() / limits.slew_v_per_s;
     plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a, ramp_s);
-    plan.refusals.extend(impossible(&predicted, limits));
+    plan.refusals.extend(by_load_and_converter(&predicted, limits));
     plan.warnings = warnings(&predicted, &plan, limits, rate_hz);
     if rms_current_a > motor.rated_current_a {
         plan.warnings.push(format!(
@@ -185,7 +185,7 @@ fn beyond_limits(
     plan.segments.iter().enumerate().flat_map(of).collect()
 }
 
-fn grow(peak: &mut f64, value: f64) {
+fn raise(peak: &mut f64, value: f64) {
     *peak = peak.max(value.abs());
 }
 
@@ -279,11 +279,11 @@ impl Prediction {
         if let Some(part) = self.parts.last_mut() {
             let segment = &mut part.segment;
             segment.end_s = point.time_s;
-            grow(&mut segment.peak_voltage_v, point.voltage_v);
-            grow(&mut segment.peak_current_a, point.current_a);
-            grow(&mut segment.peak_speed_rad_s, point.speed_rad_s);
-            grow(&mut segment.travel_rad, point.angle_rad);
-            grow(&mut segment.peak_returned_w, returned_w);
+            raise(&mut segment.peak_voltage_v, point.voltage_v);
+            raise(&mut segment.peak_current_a, point.current_a);
+            raise(&mut segment.peak_speed_rad_s, point.speed_rad_s);
+            raise(&mut segment.travel_rad, point.angle_rad);
+            raise(&mut segment.peak_returned_w, returned_w);
             part.coasting_points += usize::from(point.coasts);
             part.peak_reverse_v = part.peak_reverse_v.max(-point.wanted_v);
             if point.wanted_v < 0.0 && point.current_a < -self.reverse_a {
@@ -293,11 +293,11 @@ impl Prediction {
         self.i2t_a2_s += point.current_a * point.current_a * self.step_s;
         self.returned_j += returned_w * self.step_s;
         self.energy_j += (point.voltage_v * point.current_a).max(0.0) * self.step_s;
-        grow(&mut self.peak_current_a, point.current_a);
-        grow(&mut self.peak_speed_rad_s, point.speed_rad_s);
+        raise(&mut self.peak_current_a, point.current_a);
+        raise(&mut self.peak_speed_rad_s, point.speed_rad_s);
         if self.points > 0 && !point.coasts {
             let rise_rad_s = point.speed_rad_s - self.last.speed_rad_s;
-            grow(&mut self.peak_acceleration_rad_s2, rise_rad_s / self.step_s);
+            raise(&mut self.peak_acceleration_rad_s2, rise_rad_s / self.step_s);
         }
         self.fastest_rad_s = self.fastest_rad_s.max(point.speed_rad_s);
         self.slowest_rad_s = self.slowest_rad_s.min(point.speed_rad_s);
@@ -382,7 +382,7 @@ const REVERSE_V: &str = "reverse voltage";
 const REVERSE_A: &str = "reverse current";
 
 /// Refusals by load and converter, one of a kind for each segment.
-fn impossible(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
+fn by_load_and_converter(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
     let mut refusals = Vec::new();
     if let (Some(first), Some(last)) = (predicted.parts.first(), predicted.parts.last())
         && limits.load.missing().is_some()
@@ -410,7 +410,7 @@ fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) 
     if let Some(watts) = limits.braking_w {
         let share = 100.0 * predicted.supply_points as f64 / predicted.points.max(1) as f64;
         warnings.push(format!(
-            "the supply takes nothing back and {watts} W are burnt beside the winding: deceleration is limited in \
+            "the supply takes nothing back and {watts} W are dissipated outside of the winding: deceleration is limited in \
              {share:.0} % of the run, where the voltage is not that of the sequence; braking returns at most {:.1} W, {:.2} J",
             plan.peak_returned_w, plan.returned_j
         ));
@@ -577,11 +577,10 @@ mod tests {
         let bench = BenchFile::embedded_default();
         let program = bench.program(1).unwrap();
         let tight = Limits { travel_rad: Some(10.0), time_s: 5.0, ..bench.limits() };
-        let plate = bench.nameplate().unwrap();
-        let plan = plan(&program, &plate, &tight, 100.0, Some(3.0)).unwrap();
+        let nameplate = bench.nameplate().unwrap();
+        let plan = plan(&program, &nameplate, &tight, 100.0, Some(3.0)).unwrap();
         for quantity in ["travel", "time with the output on", "peak current"] {
-            let mut refusals = plan.refusals.iter();
-            assert!(refusals.any(|r| r.quantity == quantity), "{quantity}");
+            assert!(plan.refusals.iter().any(|r| r.quantity == quantity), "{quantity}");
         }
     }
 
@@ -608,8 +607,8 @@ mod tests {
             (&small, 100.0, [NotObservable; 5]),
         ];
         for (program, rate_hz, expected) in cases {
-            let plate = bench.nameplate().unwrap();
-            let plan = plan(program, &plate, &bench.limits(), rate_hz, None).unwrap();
+            let nameplate = bench.nameplate().unwrap();
+            let plan = plan(program, &nameplate, &bench.limits(), rate_hz, None).unwrap();
             let found: Vec<_> = plan.parameters.iter().map(|found| found.prospect).collect();
             assert_eq!(found, expected, "{rate_hz} Hz");
         }

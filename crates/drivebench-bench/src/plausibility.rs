@@ -18,9 +18,9 @@
 //! that cannot be distinguished are named together, and end the run.
 //!
 //! ```text
-//! start -> Proven: nothing        gap in the samples -> Doubts: none
-//! plausible   -> Proven grows (sign, scale, direction), Doubts end
-//! implausible -> Doubts: consecutive windows, or a start time -> confirmed -> Trip
+//! start -> Proven: nothing        gap in the samples -> Symptoms: none
+//! plausible   -> Proven grows (sign, scale, direction), Symptoms end
+//! implausible -> Symptoms: consecutive windows, or a start time -> confirmed -> Trip
 //! ```
 
 mod balance;
@@ -31,7 +31,7 @@ mod settings;
 #[cfg(test)]
 mod tests;
 
-use self::balance::{Factor, Plate, Window, negative};
+use self::balance::{Factor, Parameters, Window, negative};
 use self::history::{History, Range, Row, Scale};
 use self::repeats::Repeats;
 use self::settings::SETTINGS;
@@ -61,7 +61,7 @@ struct RepetitionStart {
 
 /// A residual of the voltage balance.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-enum BalanceDoubt {
+enum BalanceSymptom {
     #[default]
     None,
     /// Without a current.
@@ -95,8 +95,8 @@ struct Runaway {
 
 /// Contradictions between readings, of samples without a gap.
 #[derive(Clone, Debug, Default)]
-struct Doubts {
-    balance: BalanceDoubt,
+struct Symptoms {
+    balance: BalanceSymptom,
     /// Consecutive windows with an angle that contradicts the speed.
     angle_windows: usize,
     /// Of the speed; and consecutive windows in which it should have changed.
@@ -143,7 +143,7 @@ pub struct Plausibility {
     /// Host time of the latest sample, s.
     now_s: f64,
     scale: Scale,
-    plate: Option<Plate>,
+    nameplate: Option<Parameters>,
     bounds: Bounds,
     /// The checks that need a nameplate which fits are waived.
     waived: bool,
@@ -152,7 +152,7 @@ pub struct Plausibility {
     speed: Repeats,
     current: Repeats,
     proven: Proven,
-    doubts: Doubts,
+    symptoms: Symptoms,
 }
 
 impl Plausibility {
@@ -169,7 +169,7 @@ impl Plausibility {
         };
         let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
         let mut watch = Self::new(limits, scale);
-        watch.plate = Some(Plate {
+        watch.nameplate = Some(Parameters {
             resistance: motor.resistance_ohm,
             inductance: motor.inductance_h,
             back_emf: motor.back_emf_v_s_per_rad,
@@ -208,7 +208,7 @@ impl Plausibility {
 
     /// Takes the noise of the sensors from readings at rest with the output off. A drive may read nothing while it is off, so
     /// equal readings are no evidence.
-    pub(super) fn learn(&mut self, rest: &[Sample]) {
+    pub(super) fn estimate_noise(&mut self, rest: &[Sample]) {
         for (channel, sensor) in
             [(Channel::Speed, &mut self.speed), (Channel::Current, &mut self.current)]
         {
@@ -232,14 +232,16 @@ impl Plausibility {
         self.reference_rad_s = reference_rad_s;
     }
 
-    /// A start forgets all proofs: the wiring may have changed meanwhile.
+    /// A start resets all proofs: the wiring may have changed meanwhile.
     pub(super) fn begin(&mut self) {
-        self.doubts = Doubts::default();
+        self.symptoms = Symptoms::default();
         self.speed.begin();
         self.current.begin();
         self.history.clear();
-        self.proven =
-            Proven { factor: self.plate.map(|_| Factor::new(&self.scale)), ..Proven::default() };
+        self.proven = Proven {
+            factor: self.nameplate.map(|_| Factor::new(&self.scale)),
+            ..Proven::default()
+        };
         self.reference_rad_s = None;
     }
 
@@ -249,9 +251,9 @@ impl Plausibility {
     }
 
     /// No contradiction to the measured speed.
-    pub(super) const fn believes_speed(&self) -> bool {
-        !matches!(self.doubts.balance, BalanceDoubt::Misfit { .. })
-            && self.doubts.angle_windows == 0
+    pub(super) const fn speed_is_plausible(&self) -> bool {
+        !matches!(self.symptoms.balance, BalanceSymptom::Misfit { .. })
+            && self.symptoms.angle_windows == 0
             && self.speed.run() < SETTINGS.frozen_readings
     }
 
@@ -259,7 +261,7 @@ impl Plausibility {
     pub fn unwatched(&self) -> Option<&'static str> {
         let last = self.history.last()?;
         match last.demand? {
-            _ if self.plate.is_none() => {
+            _ if self.nameplate.is_none() => {
                 Some("without a nameplate speed and current are not compared with the voltage")
             }
             Demand::Speed(_) => Some(
@@ -281,20 +283,20 @@ impl Plausibility {
         let runs = matches!(sample.state, None | Some(DriveState::Running));
         let (speed, current) = (sample.get(Channel::Speed), sample.get(Channel::Current));
         let still = speed.is_some_and(|speed| speed.abs() < self.rest_rad_s());
-        if !(armed && runs && self.history.has_sent()) {
+        if !(armed && runs && !self.history.commands.is_empty()) {
             self.read(sample.time_s, speed, current, still && !runs);
             self.history.clear();
-            self.doubts = Doubts::default();
+            self.symptoms = Symptoms::default();
             return None;
         }
         let continues = self.history.push(sample, &self.scale);
         let at_rest = still && self.commands_rest();
         self.read(sample.time_s, speed, current, at_rest);
         if !continues {
-            self.doubts = Doubts::default();
+            self.symptoms = Symptoms::default();
             return None;
         }
-        self.remember(speed, at_rest);
+        self.note_onsets(speed, at_rest);
         let runaway = self.runs_away();
         self.follows()
             .or_else(|| self.stuck())
@@ -325,14 +327,14 @@ impl Plausibility {
         })
     }
 
-    fn remember(&mut self, speed: Option<f64>, at_rest: bool) {
+    fn note_onsets(&mut self, speed: Option<f64>, at_rest: bool) {
         let last = self.history.rows().back();
         self.proven.current_sign |= last.is_some_and(|row| row.current_a < -3.0 * self.idle_a());
         if self.current.run() == 0 || at_rest {
-            self.doubts.current_onset = speed.map(|speed| (speed, at_rest));
+            self.symptoms.current_onset = speed.map(|speed| (speed, at_rest));
         }
         if self.speed.run() == 0 {
-            self.doubts.repetition = None;
+            self.symptoms.repetition = None;
         }
     }
 
@@ -357,7 +359,7 @@ impl Plausibility {
     }
 
     /// The voltage balance over the last rows, where their voltage is known.
-    fn window(&self, plate: &Plate, rows: usize) -> Option<Window> {
+    fn window(&self, nameplate: &Parameters, rows: usize) -> Option<Window> {
         let all = self.history.rows();
         if all.len() < rows || rows == 0 {
             return None;
@@ -369,7 +371,7 @@ impl Plausibility {
         if last().any(unknown) {
             return None;
         }
-        let terms: Option<Vec<_>> = last().map(|row| plate.terms(row, rows as f64)).collect();
+        let terms: Option<Vec<_>> = last().map(|row| nameplate.terms(row, rows as f64)).collect();
         let mut window = terms?.into_iter().reduce(Window::and)?;
         if !self.proven.current_sign {
             // A drive may report only the magnitude.
@@ -412,17 +414,17 @@ impl Plausibility {
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         let excited = !self.commands_rest();
         let turns = speed.abs() > self.rest_rad_s();
-        let other_lives = self.current.run() < self.speed.run();
-        if excited && (self.speed.is_silent() || self.speed.is_stuck() && turns && other_lives) {
+        let other_changes = self.current.run() < self.speed.run();
+        if excited && (self.speed.is_silent() || self.speed.is_stuck() && turns && other_changes) {
             let what = format!(
                 "the measured speed stays at {speed:.2} rad/s to the last bit in {} samples, {:.2} s; by its noise at rest {:.0} are allowed; {CHECK_ENCODER}",
                 self.speed.run() + 1,
                 last.time_s - self.speed.since_s(),
                 self.speed.needed().unwrap_or(0.0)
             );
-            return Some(self.doubt(TripKind::EncoderFrozen, (speed, speed), &what));
+            return Some(self.trip(TripKind::EncoderFrozen, (speed, speed), &what));
         }
-        let (from, from_rest) = self.doubts.current_onset.unwrap_or((speed, false));
+        let (from, from_rest) = self.symptoms.current_onset.unwrap_or((speed, false));
         let moved = (speed - from).abs();
         let needs_current = moved > SETTINGS.moved_speed * self.scale.rad_s;
         let stays = from_rest && needs_current && self.current.run() >= SETTINGS.frozen_readings;
@@ -434,109 +436,110 @@ impl Plausibility {
                 self.current.run() + 1,
                 last.time_s - self.current.since_s()
             );
-            return Some(self.doubt(TripKind::CurrentStuck, (current, current), &what));
+            return Some(self.trip(TripKind::CurrentStuck, (current, current), &what));
         }
         None
     }
 
     /// A shaft that does not turn although it should.
     fn stands(&mut self) -> Option<Trip> {
-        let plate = self.plate.filter(|_| !self.bounds.vertical)?;
+        let nameplate = self.nameplate.filter(|_| !self.bounds.vertical)?;
         let row = *self.history.rows().back()?;
-        let friction_a = SETTINGS.standing_friction * plate.friction / plate.back_emf;
+        let friction_a = SETTINGS.standing_friction * nameplate.friction / nameplate.back_emf;
         let least_a = self.scale.amps.max(friction_a);
         let stands = row.current_a.abs() >= least_a && row.speed_rad_s.abs() < self.rest_rad_s();
         let last_s = self.history.last()?.time_s;
         if !stands {
-            self.doubts.stands_since_s = None;
+            self.symptoms.stands_since_s = None;
             return None;
         }
-        let since_s = *self.doubts.stands_since_s.get_or_insert(last_s);
+        let since_s = *self.symptoms.stands_since_s.get_or_insert(last_s);
         let longest_s = SETTINGS.standing_s.max(SETTINGS.latency_cycles as f64 * row.seconds);
-        let torque = plate.back_emf * row.current_a.abs();
+        let torque = nameplate.back_emf * row.current_a.abs();
         let what = format!(
             "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",
             row.speed_rad_s,
             last_s - since_s,
             row.current_a,
-            plate.friction
+            nameplate.friction
         );
         (last_s - since_s >= longest_s).then(|| {
             let figures = (row.speed_rad_s, 0.0);
-            self.doubt(TripKind::ShaftHeld, figures, &what)
+            self.trip(TripKind::ShaftHeld, figures, &what)
         })
     }
 
     /// `figures`: the value and the expected one.
-    fn doubt(&self, kind: TripKind, figures: (f64, f64), what: &str) -> Trip {
+    fn trip(&self, kind: TripKind, figures: (f64, f64), what: &str) -> Trip {
         Trip::new(kind, self.now_s, figures, what)
     }
 
     /// Faults by the voltage balance.
     fn by_balance(&mut self) -> Option<Trip> {
-        let plate = self.plate?;
+        let nameplate = self.nameplate?;
         let row = *self.history.rows().back()?;
         if !(self.waived || row.limited)
             && row.exact
             && let Some(balances) = self.proven.factor.as_mut()
-            && let Some(factor) = balances.push(&row, self.proven.current_sign, &plate, &self.scale)
+            && let Some(factor) =
+                balances.push(&row, self.proven.current_sign, &nameplate, &self.scale)
         {
             // Both balances fit either sign; only one of them goes against the voltage.
             let is_against = |window: &Window| window.mean_speed * window.mean_volts < 0.0;
             let window = self
-                .window(&plate, SETTINGS.stamped_rows)
+                .window(&nameplate, SETTINGS.stamped_rows)
                 .filter(is_against)
                 .filter(|_| factor < 0.0);
             return Some(match window {
-                Some(window) => self.misread(TripKind::EncoderReversed, &plate, &window),
+                Some(window) => self.misread(TripKind::EncoderReversed, &nameplate, &window),
                 None => self.current_scaled(factor),
             });
         }
         if self.is_idle() {
             self.end_misfit();
-            return self.idle(&plate);
+            return self.idle(&nameplate);
         }
-        if let BalanceDoubt::Idle { .. } = self.doubts.balance {
-            self.doubts.balance = BalanceDoubt::None;
+        if let BalanceSymptom::Idle { .. } = self.symptoms.balance {
+            self.symptoms.balance = BalanceSymptom::None;
         }
-        let Some(window) = self.window(&plate, self.window_rows()) else {
+        let Some(window) = self.window(&nameplate, self.window_rows()) else {
             self.end_misfit();
             return None;
         };
-        if let Some(trip) = self.frozen(&plate, &window) {
+        if let Some(trip) = self.frozen(&nameplate, &window) {
             return Some(trip);
         }
         let misfits = !self.waived && self.misfits(&window);
-        if !(misfits || self.goes_against(&window)) {
+        if !(misfits || self.accelerates_against_current(&window)) {
             self.end_misfit();
             let fits = self.fits(&window);
             let turns = window.mean_speed.abs() > SETTINGS.proven_voltage * self.scale.volts;
             self.proven.direction |= fits && turns && window.mean_speed * window.mean_volts > 0.0;
             if fits {
                 let response = window.mean_current + window.mean_speed;
-                self.doubts.last_fit = Some((window.mean_volts, response));
+                self.symptoms.last_fit = Some((window.mean_volts, response));
             }
             return None;
         }
-        let windows = match self.doubts.balance {
-            BalanceDoubt::Misfit { windows } => windows + 1,
+        let windows = match self.symptoms.balance {
+            BalanceSymptom::Misfit { windows } => windows + 1,
             _ => 1,
         };
-        self.doubts.balance = BalanceDoubt::Misfit { windows };
+        self.symptoms.balance = BalanceSymptom::Misfit { windows };
         if windows < SETTINGS.confirming_windows {
             return None;
         }
-        self.isolate(&plate, &window)
+        self.isolate(&nameplate, &window)
     }
 
     const fn end_misfit(&mut self) {
-        if let BalanceDoubt::Misfit { .. } = self.doubts.balance {
-            self.doubts.balance = BalanceDoubt::None;
+        if let BalanceSymptom::Misfit { .. } = self.symptoms.balance {
+            self.symptoms.balance = BalanceSymptom::None;
         }
     }
 
     /// The shaft gains or loses speed against its current and speed, and the opposite sign of one would fit.
-    fn goes_against(&self, window: &Window) -> bool {
+    fn accelerates_against_current(&self, window: &Window) -> bool {
         let rows = self.history.rows().iter().rev().take(SETTINGS.stamped_rows);
         let gain: f64 = rows.map(|row| row.speed_change_rad_s).sum();
         if gain.abs() < self.rest_rad_s() {
@@ -577,30 +580,30 @@ impl Plausibility {
     }
 
     /// No current flows although the voltage is not that of the speed, or although the shaft is driven.
-    fn idle(&mut self, plate: &Plate) -> Option<Trip> {
+    fn idle(&mut self, nameplate: &Parameters) -> Option<Trip> {
         let last = *self.history.last()?;
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         if let Some(trip) = self.driven_without_current(current, speed) {
             return Some(trip);
         }
-        let window = self.window(plate, self.window_rows())?;
+        let window = self.window(nameplate, self.window_rows())?;
         let none = window.with(Range::new(0.0, 0.0), window.speed);
         let (volts, emf) = (window.mean_volts, window.mean_speed);
         // A coasting shaft is not driven, and a converter may not be able to brake it.
         let coasts = volts.abs() < emf.abs() && self.speed.run() < self.frozen_readings();
         if none.gap(SETTINGS.any_factor, SETTINGS.flux_factor, self.drop_v()) <= 0.0 || coasts {
-            self.doubts.balance = BalanceDoubt::None;
+            self.symptoms.balance = BalanceSymptom::None;
             return None;
         }
-        let since_s = match self.doubts.balance {
-            BalanceDoubt::Idle { since_s } => since_s,
+        let since_s = match self.symptoms.balance {
+            BalanceSymptom::Idle { since_s } => since_s,
             _ => last.time_s,
         };
-        self.doubts.balance = BalanceDoubt::Idle { since_s };
+        self.symptoms.balance = BalanceSymptom::Idle { since_s };
         if last.time_s - since_s < SETTINGS.idle_s {
             return None;
         }
-        let by_voltage = volts / plate.back_emf;
+        let by_voltage = volts / nameplate.back_emf;
         let figures = format!(
             "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {:.2} s, {} s are allowed",
             last.time_s - since_s,
@@ -618,19 +621,19 @@ impl Plausibility {
             } else {
                 TripKind::SpeedImplausible
             };
-            return Some(self.doubt(kind, (speed, by_voltage), &what));
+            return Some(self.trip(kind, (speed, by_voltage), &what));
         }
-        let expected_a = volts / plate.resistance;
+        let expected_a = volts / nameplate.resistance;
         Some(if last.voltage_v.is_some() {
             let what = format!(
                 "the armature circuit is open, or the output is not on, or current and speed are both not measured: {figures}; check the motor's leads, its fuses and the drive's enable and release inputs"
             );
-            self.doubt(TripKind::OpenCircuit, (current, expected_a), &what)
+            self.trip(TripKind::OpenCircuit, (current, expected_a), &what)
         } else {
             let what = format!(
                 "the drive does not follow, or its output is not on, or the armature circuit is open (it reports no voltage to distinguish them): {figures}; {CHECK_SET_POINT}; check the motor's leads"
             );
-            self.doubt(TripKind::SetPointIgnored, (current, expected_a), &what)
+            self.trip(TripKind::SetPointIgnored, (current, expected_a), &what)
         })
     }
 
@@ -651,21 +654,21 @@ impl Plausibility {
         let what = format!(
             "{current:.3} A are measured while the voltage speeds the shaft up by {gain:.1} rad/s to {speed:.1} rad/s; without a current {most:.1} rad/s are allowed; {CHECK_CURRENT}"
         );
-        (gain > most).then(|| self.doubt(TripKind::CurrentStuck, (current, idle_a), &what))
+        (gain > most).then(|| self.trip(TripKind::CurrentStuck, (current, idle_a), &what))
     }
 
     /// A speed that repeats itself, while the back-EMF has changed or cannot be that of this speed.
-    fn frozen(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
+    fn frozen(&mut self, nameplate: &Parameters, window: &Window) -> Option<Trip> {
         // The whole window must lie within the repetition.
         if self.speed.run() < self.window_rows() {
-            self.doubts.frozen_windows = 0;
+            self.symptoms.frozen_windows = 0;
             return None;
         }
         let emf = window.mean_volts - window.mean_current;
         let rows = self.history.rows().iter().rev().take(self.window_rows());
-        let readings = rows.map(|row| plate.resistance * row.ends().0);
+        let readings = rows.map(|row| nameplate.resistance * row.ends().0);
         let currents = Range::of(readings).unwrap_or(window.current);
-        let start = *self.doubts.repetition.get_or_insert(RepetitionStart {
+        let start = *self.symptoms.repetition.get_or_insert(RepetitionStart {
             emf,
             current: window.mean_current,
             currents,
@@ -674,7 +677,7 @@ impl Plausibility {
             return None;
         }
         let by_current = (window.mean_current - start.current).abs();
-        let idle_v = self.idle_a() * plate.resistance;
+        let idle_v = self.idle_a() * nameplate.resistance;
         // The drop of brushes and bridge appears with the current and changes its sign with it. A window in which the
         // current does both counts for either.
         let most = |range: Range, sign: f64| (sign * range.low).max(sign * range.high);
@@ -683,33 +686,34 @@ impl Plausibility {
         let turns = start.current.abs() < idle_v || both(1.0) || both(-1.0);
         let drops_v =
             if turns { 2.0 * self.drop_v() } else { SETTINGS.rest_voltage * self.scale.volts };
-        let doubt =
+        let tolerance_v =
             drops_v + (1.0 - SETTINGS.winding_factor.low) * by_current + 0.5 * window.volts.width();
         // From the first back-EMF and from that of the measured speed: the first may be of a current in transit.
-        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (emf - other_v).abs() > doubt;
+        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (emf - other_v).abs() > tolerance_v;
         let moved = beyond(start.emf) && beyond(window.mean_speed);
-        let cannot_be = !self.fits(window);
-        if !(moved || cannot_be) {
-            self.doubts.frozen_windows = 0;
+        let is_impossible = !self.fits(window);
+        if !(moved || is_impossible) {
+            self.symptoms.frozen_windows = 0;
             return None;
         }
-        self.doubts.frozen_windows += 1;
+        self.symptoms.frozen_windows += 1;
         // A drive that does not stamp its samples may have read the speed some cycles ago.
         let needed = if self.is_exact() { 1 } else { self.cycles() };
-        (self.doubts.frozen_windows >= needed)
-            .then(|| self.misread(TripKind::EncoderFrozen, plate, window))
+        (self.symptoms.frozen_windows >= needed)
+            .then(|| self.misread(TripKind::EncoderFrozen, nameplate, window))
     }
 
     /// Fault isolation: the reading that does not fit.
-    fn isolate(&mut self, plate: &Plate, window: &Window) -> Option<Trip> {
+    fn isolate(&mut self, nameplate: &Parameters, window: &Window) -> Option<Trip> {
         let drop_v = self.drop_v();
-        let is_ignored = self.doubts.last_fit.is_some_and(|(volts, response)| {
+        let is_ignored = self.symptoms.last_fit.is_some_and(|(volts, response)| {
             let step = (window.mean_volts - volts).abs();
             let change = (window.mean_current + window.mean_speed - response).abs();
             step > 2.0 * drop_v && change < 0.25 * step
         });
         let last = *self.history.last()?;
-        let misread = |plausibility: &Self, kind| Some(plausibility.misread(kind, plate, window));
+        let misread =
+            |plausibility: &Self, kind| Some(plausibility.misread(kind, nameplate, window));
         let mirrored = window.with(window.current, negative(window.speed));
         let drives_back = window.mean_speed * window.mean_volts < 0.0
             && window.mean_current * window.mean_volts.signum() >= -drop_v;
@@ -737,7 +741,7 @@ impl Plausibility {
             let what = format!(
                 "the set-point went to {volts:.1} V, current and speed are those of {response:.1} V as before; {CHECK_SET_POINT}"
             );
-            Some(self.doubt(TripKind::SetPointIgnored, (response, volts), &what))
+            Some(self.trip(TripKind::SetPointIgnored, (response, volts), &what))
         } else if !turns {
             misread(self, TripKind::EncoderFrozen)
         } else if self.waived {
@@ -751,14 +755,14 @@ impl Plausibility {
     }
 
     /// The speed, or else the current, that contradicts the balance.
-    fn misread(&self, kind: TripKind, plate: &Plate, window: &Window) -> Trip {
+    fn misread(&self, kind: TripKind, nameplate: &Parameters, window: &Window) -> Trip {
         use TripKind::{CurrentReversed, EncoderFrozen, EncoderReversed, SpeedImplausible};
         let is_speed = matches!(kind, EncoderFrozen | EncoderReversed | SpeedImplausible);
         let (speed, current) = (window.mean_speed, window.mean_current);
         let (name, unit, digits, per_unit, check) = if is_speed {
-            ("speed", "rad/s", 1, plate.back_emf, CHECK_ENCODER)
+            ("speed", "rad/s", 1, nameplate.back_emf, CHECK_ENCODER)
         } else {
-            ("current", "A", 2, plate.resistance, CHECK_CURRENT)
+            ("current", "A", 2, nameplate.resistance, CHECK_CURRENT)
         };
         let (reading, other, range) = if is_speed {
             (speed, current, window.current)
@@ -787,7 +791,7 @@ impl Plausibility {
         let what = format!(
             "the measured {name} {how} {measured:.digits$} {unit}, by voltage and {other} it is {by_voltage:.digits$} {unit}, {low:.digits$} to {high:.digits$} {unit} is plausible{scale}; {check}"
         );
-        self.doubt(kind, (measured, by_voltage), &what)
+        self.trip(kind, (measured, by_voltage), &what)
     }
 
     /// A current that contradicts both balances.
@@ -796,8 +800,8 @@ impl Plausibility {
         let kind =
             if factor < 0.0 { TripKind::CurrentReversed } else { TripKind::CurrentImplausible };
         let what = format!(
-            "the measured current reads {factor:.2} times what voltage and acceleration ask for, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
+            "the measured current reads {factor:.2} times what voltage and acceleration require, 0.5 to 2 is allowed; now it is {current:.2} A; {CHECK_CURRENT}"
         );
-        self.doubt(kind, (factor, 1.0), &what)
+        self.trip(kind, (factor, 1.0), &what)
     }
 }

@@ -64,7 +64,7 @@ pub struct ReopenBench<'a> {
     pub snapshots: &'a SnapshotCell,
 }
 
-/// Where the end of a run stands in time.
+/// Times at the end of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RunEnd {
     /// From host time to the samples' time axis, s.
@@ -101,7 +101,7 @@ pub fn reopen<'a>(
         last_reason: String::new(),
         identity: None,
     };
-    search.go(open)
+    search.search(open)
 }
 
 /// Result of an attempt.
@@ -122,7 +122,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn go(
+    fn search(
         &mut self,
         open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
     ) -> (Reopened, Option<Box<dyn DriveLink>>) {
@@ -209,12 +209,14 @@ impl Search<'_> {
             return Attempt::AnotherDrive(reason);
         }
         if let Err(error) = link.bring_to_rest() {
-            return Attempt::Failed(format!("it is back, and was not brought to rest: {error}"));
+            return Attempt::Failed(format!(
+                "the drive is back, and was not brought to rest: {error}"
+            ));
         }
         let seq = self.options.seq.wrapping_add(1);
         match link.exchange(Command { seq, demand: Demand::Disable }) {
             Ok(sample) if sample.state == Some(DriveState::Running) => {
-                Attempt::Failed("it is back, and reports that it runs".to_owned())
+                Attempt::Failed("the drive is back, and reports that it runs".to_owned())
             }
             Ok(sample) => Attempt::SameDrive(link, sample.state),
             Err(error) => Attempt::Failed(error.to_string()),

@@ -17,7 +17,7 @@ use serde_json::Value;
 
 use super::clock::{Clock, SUSPENDED_S};
 use super::limits::Nameplate;
-use super::line_watch::{FOREIGN_WRITES, LineWatch, News};
+use super::line_watch::{FOREIGN_WRITES, LineReport, LineWatch};
 use super::live_online::{Excitation, LiveEstimator};
 use super::reopen::{Reopened, RunEnd};
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
@@ -32,6 +32,7 @@ use drivebench_model::sample::{Command, Demand, DriveState, ParameterEstimate};
 
 /// Longest wait for a drive to become safe by itself, s.
 const CONNECT_TIME_S: f64 = 5.0;
+
 /// Parts of a run, all of the calling thread.
 pub struct Bench<'a> {
     pub link: &'a mut dyn DriveLink,
@@ -115,7 +116,7 @@ impl Wire {
 }
 
 impl RunSummary {
-    /// Whether the stop of the drive is not confirmed, in a run that no person ended.
+    /// Whether the stop of the drive is not confirmed, in a run that the user did not end.
     pub const fn lost_its_drive(&self) -> bool {
         self.stop_error.is_some()
             && !matches!(self.outcome, Outcome::Stopped | Outcome::Interrupted)
@@ -173,20 +174,20 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         not_started: None,
         burst_armed: false,
         slept_s: bench.clock.slept_s(),
-        record_news: 0,
+        record_messages: 0,
         watch: LineWatch::new(options.rate_hz),
         stop: StopWatch::default(),
     };
-    runner.go(bench.clock, bench.intents, bench.interrupted, options)
+    runner.run_to_end(bench.clock, bench.intents, bench.interrupted, options)
 }
 
-/// Zero output when the loop is left, on whatever path.
+/// Zero output also where the loop ends by a panic.
 struct StopOnDrop<'a>(&'a mut dyn DriveLink);
 
 impl Drop for StopOnDrop<'_> {
     fn drop(&mut self) {
         if std::thread::panicking() {
-            // No error can be reported; the drive's watchdog is behind this.
+            // No error can be reported; the drive's watchdog remains.
             let _ = self.0.stop();
         }
     }
@@ -211,13 +212,13 @@ struct Runner<'a> {
     burst_armed: bool,
     /// Time in suspension so far, s.
     slept_s: f64,
-    record_news: usize,
+    record_messages: usize,
     watch: LineWatch,
     stop: StopWatch,
 }
 
 impl Runner<'_> {
-    fn go(
+    fn run_to_end(
         &mut self,
         clock: &mut dyn Clock,
         intents: &Receiver<Intent>,
@@ -254,7 +255,7 @@ impl Runner<'_> {
                 start_pending = !self.try_start(clock, now_s - begin_s);
             }
             self.feed(clock, Input::Cycle);
-            if self.publisher.is_due(now_s) {
+            if now_s >= self.publisher.next_s {
                 self.report_record(now_s);
                 self.publish(now_s, options.rate_hz, None);
             }
@@ -265,7 +266,7 @@ impl Runner<'_> {
         let stopped = self.link.0.stop();
         self.note_last_stop(sent_s, clock.now_s(), &stopped);
         if let Some(notice) = self.session.stop_notice(stopped.as_ref().err()) {
-            self.act_on_notice(notice);
+            self.notify(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());
         let waiting = self.recorder.flush();
@@ -333,7 +334,7 @@ impl Runner<'_> {
         self.recorder.event(event.with("host_time_s", now_s).with("stop", detail));
         // The notice of an unconfirmed one came with the link's last error.
         if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
-            self.act_on_notice(Notice { level: Level::Info, text: stop.sentence() });
+            self.notify(Notice { level: Level::Info, text: stop.sentence() });
         }
     }
 
@@ -354,7 +355,11 @@ impl Runner<'_> {
     /// decided.
     fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
         if self.session.phase() == Phase::Safe {
-            if waited_s <= CONNECT_TIME_S && self.still_moves() {
+            let sample = self.session.last_sample();
+            let rest = sample.map(|sample| self.session.guard().check_rest(sample));
+            // A motion before this run may still end.
+            let may_rest = matches!(rest, Some(Err(error)) if error.may_change());
+            if waited_s <= CONNECT_TIME_S && may_rest {
                 return false;
             }
             self.feed(clock, Input::Intent(Intent::Start));
@@ -373,12 +378,6 @@ impl Runner<'_> {
         }
         self.feed(clock, Input::Intent(Intent::Stop));
         true
-    }
-
-    /// Whether shaft or current have not come to rest after a motion before this run.
-    fn still_moves(&self) -> bool {
-        let rest = self.session.last_sample().map(|sample| self.session.guard().check_rest(sample));
-        matches!(rest, Some(Err(error)) if error.may_change())
     }
 
     /// One input and everything that follows from it.
@@ -429,7 +428,7 @@ impl Runner<'_> {
                 event.time_s += self.end.drive_minus_host_s;
                 self.recorder.event(event);
             }
-            Action::Notice(notice) => self.act_on_notice(notice),
+            Action::Notice(notice) => self.notify(notice),
             Action::Finished(outcome) => self.outcome = Some(outcome),
         }
     }
@@ -464,9 +463,9 @@ impl Runner<'_> {
             };
             self.recorder.command(&row);
         }
-        let took_s = now_s - sent_s;
+        let duration_s = now_s - sent_s;
         // Time of the link; the excess is a stall of the host.
-        self.session.waited_for_link(now_s, took_s.min(left_s));
+        self.session.waited_for_link(now_s, duration_s.min(left_s));
         let answered = answer.is_ok();
         self.inputs.push_back(match answer {
             Ok(sample) => {
@@ -481,34 +480,33 @@ impl Runner<'_> {
             }
             Err(error) => Input::Lost(Lost::from(&error)),
         });
-        self.watch_line(now_s, took_s, answered);
+        self.watch_line(now_s, duration_s, answered);
     }
 
-    /// News of the line go to notices and record at once.
-    fn watch_line(&mut self, now_s: f64, took_s: f64, answered: bool) {
+    /// Reports of the line become notices and events at once.
+    fn watch_line(&mut self, now_s: f64, duration_s: f64, answered: bool) {
         let line = self.link.0.line().unwrap_or_default();
-        let mut news = self.watch.frames(now_s, line);
+        let mut reports = self.watch.frames(now_s, line);
         if self.session.phase().is_energised() {
-            news.extend(self.watch.exchange(now_s, took_s, answered, line));
+            reports.extend(self.watch.exchange(now_s, duration_s, answered, line));
         } else {
-            self.watch.rest();
+            self.watch.reset();
         }
-        for News { event, figure, notice } in news {
+        for LineReport { event, figure, notice } in reports {
             let key = if event.starts_with("rate") { "achieved_hz" } else { "frames" };
             if event == FOREIGN_WRITES {
                 self.inputs.push_back(Input::OtherMaster(line.foreign_writes));
             }
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
             self.recorder.event(event.with("host_time_s", now_s).with(key, figure));
-            self.act_on_notice(notice);
+            self.notify(notice);
         }
     }
 
     /// Errors of the record become notices at once, and stop nothing.
     fn report_record(&mut self, now_s: f64) {
-        let status = self.recorder.status();
-        for text in status.news.into_iter().skip(self.record_news) {
-            self.record_news += 1;
+        for text in self.recorder.status().messages.into_iter().skip(self.record_messages) {
+            self.record_messages += 1;
             let event = Event::new(now_s + self.end.drive_minus_host_s, None, "record");
             let event = event.with("host_time_s", now_s);
             self.recorder.event(event.with("message", text.as_str()));
@@ -551,10 +549,10 @@ impl Runner<'_> {
     }
 
     fn warn(&mut self, text: String) {
-        self.act_on_notice(Notice { level: Level::Warning, text });
+        self.notify(Notice { level: Level::Warning, text });
     }
 
-    fn act_on_notice(&mut self, notice: Notice) {
+    fn notify(&mut self, notice: Notice) {
         self.publisher.notice(notice.clone());
         self.notices.push(notice);
     }
@@ -576,16 +574,16 @@ impl Runner<'_> {
         let innovation = self.estimator.as_ref().and_then(|one| one.innovation());
         self.publisher.innovation(innovation);
         let recorder = self.recorder.status();
-        self.publisher.publish(now_s, &self.session, estimates, |shown| {
-            shown.excitation = Arc::new(excitation);
-            shown.frozen = frozen;
-            shown.link_statistics = self.link.0.statistics();
-            shown.timing = self.punctuality.timing(rate_hz);
-            shown.rows = recorder.rows as u64;
-            shown.recorder_error = recorder.error;
+        self.publisher.publish(now_s, &self.session, estimates, |snapshot| {
+            snapshot.excitation = Arc::new(excitation);
+            snapshot.frozen = frozen;
+            snapshot.link_statistics = self.link.0.statistics();
+            snapshot.timing = self.punctuality.timing(rate_hz);
+            snapshot.rows = recorder.rows as u64;
+            snapshot.recorder_error = recorder.error;
             if let Some((outcome, stop_error, stop)) = end {
-                shown.outcome = Some(outcome);
-                (shown.stop_error, shown.stop) = (stop_error, stop);
+                snapshot.outcome = Some(outcome);
+                (snapshot.stop_error, snapshot.stop) = (stop_error, stop);
             }
         });
     }

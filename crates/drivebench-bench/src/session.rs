@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use super::check::WATCHDOG;
 use super::guard::{Causes, Guard};
 use super::mechanics::Brake;
-use super::pilot::{OpenLoop, Pilot, PilotNews, Program};
+use super::pilot::{OpenLoop, Pilot, PilotEvent, Program};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
 use super::trip::{Trip, TripKind};
@@ -28,7 +28,7 @@ use crate::recording::Event;
 use drivebench_link::{CommandTimes, LinkError};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
-const UNREPORTED: &str = "stop unconfirmed: the drive took it, and does not report whether its output is off; see that the shaft stands still";
+const UNREPORTED: &str = "stop unconfirmed: the drive accepted it, and does not report whether its output is off; see that the shaft stands still";
 
 /// One bench session over one program, or one closed loop.
 pub struct Session {
@@ -111,7 +111,7 @@ impl Session {
     /// Readings at rest, from which the guard estimates the noise of the sensors.
     #[must_use]
     pub fn with_rest(mut self, rest: &[Sample]) -> Self {
-        self.guard.learn(rest);
+        self.guard.estimate_noise(rest);
         self
     }
 
@@ -136,7 +136,7 @@ impl Session {
         self.drive.watchdog_s()
     }
 
-    /// Its outcome, present or to come; of a stop that the drive did not confirm, the cause of the stop.
+    /// The outcome, also of a session that still stops; of a stop that the drive did not confirm, the cause of the stop.
     pub const fn ending(&self) -> Option<&Outcome> {
         self.state.ending()
     }
@@ -146,7 +146,7 @@ impl Session {
         matches!(self.state.confirmed(), Some(true)) && self.drive.reports_stop
     }
 
-    /// For a drive that may take so long to run and to stop.
+    /// For the longest times that the drive takes to run and to stop.
     #[must_use]
     pub fn with_command_times(mut self, times: CommandTimes) -> Self {
         self.guard = self.guard.with_enable_time(times.enable_s);
@@ -269,7 +269,8 @@ impl Session {
     }
 
     fn cycle(&mut self) {
-        if self.phase() == Phase::Armed && self.may_run() && self.is_brake_open() {
+        let runs = matches!(self.drive.state(), None | Some(DriveState::Running));
+        if self.phase() == Phase::Armed && runs && self.is_at_rest() && self.is_brake_open() {
             self.pilot.begin(self.now_s, self.drive.sample.as_ref());
             self.guard.set_slew(self.pilot.slew_v_per_s());
             self.enter(State::Running(self.now_s));
@@ -309,10 +310,10 @@ impl Session {
         let command = self.send(wanted);
         if self.phase() == Phase::Running {
             self.pilot.sent(&command);
-            while let Some(news) = self.pilot.news() {
-                let (name, level, reason) = match news {
-                    PilotNews::Gains(reason) => ("gains", Level::Info, reason),
-                    PilotNews::Watch(reason) => ("watch", Level::Warning, reason),
+            while let Some(next_event) = self.pilot.next_event() {
+                let (name, level, reason) = match next_event {
+                    PilotEvent::Gains(reason) => ("gains", Level::Info, reason),
+                    PilotEvent::Watch(reason) => ("watch", Level::Warning, reason),
                 };
                 self.notice(level, format!("{name}: {reason}"));
                 self.event(name, json!({ "reason": reason }));
@@ -321,7 +322,9 @@ impl Session {
         let State::RampDown { since_s, .. } = self.state else {
             return;
         };
-        if !self.is_ramped_down(since_s) {
+        let longest_s = self.guard.ramp_down_s() + TIMES.come_to_rest_s;
+        let is_at_zero = self.shaping.is_none() && self.is_at_rest();
+        if self.now_s - since_s <= longest_s && !is_at_zero {
             // A shaft that moves again has to rest anew before its brake counts as applied.
             if let Some(order) = self.brake.as_mut() {
                 order.motion = None;
@@ -455,21 +458,12 @@ impl Session {
         }
     }
 
-    fn may_run(&self) -> bool {
-        matches!(self.drive.state(), None | Some(DriveState::Running)) && self.is_at_rest()
-    }
-
     fn speed_rad_s(&self) -> Option<f64> {
         self.drive.sample.as_ref()?.get(Channel::Speed)
     }
 
     fn is_at_rest(&self) -> bool {
         self.speed_rad_s().is_some_and(|speed| speed.abs() <= self.guard.rest_rad_s())
-    }
-
-    fn is_ramped_down(&self, since_s: f64) -> bool {
-        let longest_s = self.guard.ramp_down_s() + TIMES.come_to_rest_s;
-        self.now_s - since_s > longest_s || (self.shaping.is_none() && self.is_at_rest())
     }
 
     fn elapsed_s(&self, now_s: f64) -> f64 {
@@ -610,7 +604,7 @@ impl Session {
         }
     }
 
-    /// A lost link ends the session, unless a trip or a person had ended it before.
+    /// A lost link ends the session, unless a trip or the user had ended it before.
     fn ending_by_loss(&self, reason: &str) -> Outcome {
         match self.ending() {
             None | Some(Outcome::Done) => Outcome::LinkLost { reason: reason.to_owned() },

@@ -65,7 +65,7 @@ pub struct InnovationPoint {
     pub speed_rad_s: f64,
 }
 
-/// The state of a run at one instant; cloning copies a few words, two short lists and one shared trace.
+/// The state of a run at one instant; traces are shared, so that a copy is cheap.
 #[derive(Clone, Debug, Default)]
 pub struct Snapshot {
     pub name: String,
@@ -149,7 +149,7 @@ pub(super) struct Publisher {
     innovations: VecDeque<InnovationPoint>,
     origin_s: Option<f64>,
     model: ModelTrace,
-    next_s: f64,
+    pub(super) next_s: f64,
 }
 
 impl Publisher {
@@ -207,10 +207,6 @@ impl Publisher {
             self.snapshot.notices.remove(0);
         }
         self.snapshot.notices.push(notice);
-    }
-
-    pub(super) fn is_due(&self, now_s: f64) -> bool {
-        now_s >= self.next_s
     }
 
     /// Publishes the state of the session, and what the runner puts in with `rest`.

@@ -1,5 +1,5 @@
 //! Times of a stop: from the decision to the request on the line and to the drive's confirmation; and the rows of the record
-//! before it. Pure: times come in.
+//! before it. Times are arguments.
 
 use std::collections::VecDeque;
 

@@ -147,7 +147,7 @@ pub(super) struct ScriptedDrive {
     pub(super) is_emulator: bool,
     pub(super) serial_number: &'static str,
     pub(super) confirms_stop: bool,
-    pub(super) asked: Arc<Mutex<Vec<String>>>,
+    pub(super) requests: Arc<Mutex<Vec<String>>>,
     pub(super) shortest_cycle_s: Option<f64>,
     pub(super) times: CommandTimes,
     /// Error of a stop outside a run; `None`: it is confirmed.
@@ -160,7 +160,7 @@ pub(super) struct ScriptedDrive {
     speed_rad_s: f64,
     angle_rad: f64,
     statistics: LinkStatistics,
-    /// Nothing of the last request got out.
+    /// The last request was not sent.
     is_unsent: bool,
 }
 
@@ -191,7 +191,7 @@ impl ScriptedDrive {
     }
 
     fn note(&self, what: &str) {
-        self.asked.lock().unwrap().push(what.to_owned());
+        self.requests.lock().unwrap().push(what.to_owned());
     }
 }
 
@@ -240,9 +240,9 @@ impl DriveLink for ScriptedDrive {
         }
         self.statistics.ok += 1;
         self.voltage_v = command.demand.voltage_v().unwrap_or(0.0);
-        let obeys = !has(Fault::NeverRuns) && !has(Fault::LeavesRunning);
-        let deaf = has(Fault::IgnoresStop) && self.state == DriveState::Running;
-        self.state = if command.demand.energises() && obeys || deaf {
+        let follows_command = !has(Fault::NeverRuns) && !has(Fault::LeavesRunning);
+        let ignores_stop = has(Fault::IgnoresStop) && self.state == DriveState::Running;
+        self.state = if command.demand.energises() && follows_command || ignores_stop {
             DriveState::Running
         } else {
             DriveState::Disabled
@@ -387,8 +387,8 @@ pub(super) struct Stalls {
 }
 
 impl Stalls {
-    fn length_s(self, dice: &mut ChaCha8Rng) -> f64 {
-        let mut uniform = || f64::from(dice.next_u32()) / f64::from(u32::MAX);
+    fn length_s(self, rng: &mut ChaCha8Rng) -> f64 {
+        let mut uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
         if uniform() < self.share { self.longest_s * uniform() } else { 0.0 }
     }
 
@@ -398,20 +398,20 @@ impl Stalls {
         let stalled = StalledDrive {
             clock: clock.clone(),
             stalls: self,
-            dice: ChaCha8Rng::seed_from_u64(seed),
+            rng: ChaCha8Rng::seed_from_u64(seed),
             until_s: 0.0,
         };
-        let mut dice = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
-        let late_s = move |_| self.length_s(&mut dice);
+        let mut rng = ChaCha8Rng::seed_from_u64(seed + 1_000_000);
+        let late_s = move |_| self.length_s(&mut rng);
         (Tampered { link, by: stalled }, LateClock { clock, late_s })
     }
 }
 
-/// During a stall requests are lost and the output stays as it is.
+/// During a stall requests are lost and the output is held.
 struct StalledDrive {
     clock: VirtualClock,
     stalls: Stalls,
-    dice: ChaCha8Rng,
+    rng: ChaCha8Rng,
     until_s: f64,
 }
 
@@ -422,12 +422,12 @@ impl Tamper<MemoryLink> for StalledDrive {
             return Err(timeout(link.name(), "a stalled drive"));
         }
         let sample = link.exchange(command);
-        self.until_s = now_s + self.stalls.length_s(&mut self.dice);
+        self.until_s = now_s + self.stalls.length_s(&mut self.rng);
         sample
     }
 }
 
-/// A host's clock whose waits end late by a function of the instant, s.
+/// A clock of the host whose waits end late, by a function of the time, s.
 pub(super) struct LateClock<F> {
     pub(super) clock: VirtualClock,
     pub(super) late_s: F,
@@ -479,7 +479,7 @@ pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
     config.motor.rated_voltage_v = rated_v;
     config.motor.rated_current_a = rated_a;
     config.motor.rated_speed_rad_s = rated_rad_s;
-    // As far away as the registers allow: the drive does not help.
+    // The largest that the registers allow: the drive does not limit.
     config.limits.current_limit_a = 650.0;
     config.limits.bus_v = 2.0 * rated_v;
     config.limits.speed_limit_rad_s = 1300.0;
@@ -489,7 +489,7 @@ pub(super) fn random_motor(seed: u64) -> EmulatorConfig {
     config
 }
 
-pub(super) fn plate_of(truth: MotorTruth) -> Nameplate {
+pub(super) fn nameplate_of(truth: MotorTruth) -> Nameplate {
     Nameplate {
         name: truth.name,
         rated_voltage_v: truth.rated_voltage_v,
@@ -503,7 +503,7 @@ pub(super) fn plate_of(truth: MotorTruth) -> Nameplate {
     }
 }
 
-/// A software drive in memory with the clock of its line.
+/// An emulated drive in memory with the clock of its line.
 pub(super) fn in_memory(config: &EmulatorConfig, seed: u64) -> (MemoryLink, VirtualClock) {
     let clock = VirtualClock::new();
     let drive = SoftDrive::new(config, seed);
@@ -512,7 +512,7 @@ pub(super) fn in_memory(config: &EmulatorConfig, seed: u64) -> (MemoryLink, Virt
 }
 
 /// One run of a session to its end, by default without a user and in virtual time.
-pub(super) struct Course<'a> {
+pub(super) struct TestRun<'a> {
     pub(super) rate_hz: f64,
     pub(super) layout: Layout,
     pub(super) motor: Option<Nameplate>,
@@ -523,7 +523,7 @@ pub(super) struct Course<'a> {
     pub(super) snapshots: SnapshotCell,
 }
 
-impl Default for Course<'_> {
+impl Default for TestRun<'_> {
     fn default() -> Self {
         Self {
             rate_hz: 100.0,
@@ -537,7 +537,7 @@ impl Default for Course<'_> {
     }
 }
 
-impl Course<'_> {
+impl TestRun<'_> {
     pub(super) fn at(rate_hz: f64) -> Self {
         Self { rate_hz, ..Self::default() }
     }
@@ -578,33 +578,33 @@ impl Course<'_> {
     }
 }
 
-/// A session on a link, fed cycle by cycle; `spoil` may change a reply or lose it, by the number of the exchange.
-pub(super) struct Lab<L, F> {
+/// A session on a link, fed cycle by cycle; `fault` may change a reply or lose it, by the number of the exchange.
+pub(super) struct SessionRig<L, F> {
     pub(super) session: Session,
     pub(super) link: L,
     pub(super) now_s: f64,
     clock: VirtualClock,
     period_s: f64,
-    spoil: F,
+    fault: F,
     pub(super) sent: Vec<Command>,
     pub(super) log: Vec<Action>,
 }
 
 #[expect(clippy::unnecessary_wraps, reason = "as the others, which lose some")]
-pub(super) fn unspoilt(_: usize, sample: Sample) -> Option<Sample> {
+pub(super) fn no_fault(_: usize, sample: Sample) -> Option<Sample> {
     Some(sample)
 }
 
-impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
+impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> SessionRig<L, F> {
     /// In cycles of 10 ms; the clock is the link's.
-    pub(super) fn new(session: Session, (link, clock): (L, VirtualClock), spoil: F) -> Self {
+    pub(super) fn new(session: Session, (link, clock): (L, VirtualClock), fault: F) -> Self {
         Self {
             session,
             link,
             now_s: 0.0,
             clock,
             period_s: 0.01,
-            spoil,
+            fault,
             sent: Vec::new(),
             log: Vec::new(),
         }
@@ -622,7 +622,7 @@ impl<L: DriveLink, F: FnMut(usize, Sample) -> Option<Sample>> Lab<L, F> {
             if let Action::Send(command) = action {
                 self.sent.push(command);
                 let reply = match self.link.exchange(command) {
-                    Ok(sample) => match (self.spoil)(self.sent.len(), sample) {
+                    Ok(sample) => match (self.fault)(self.sent.len(), sample) {
                         Some(sample) => Input::Sample(Box::new(sample)),
                         None => Input::Lost(Lost::Transient("spoilt".to_owned())),
                     },

@@ -1,4 +1,4 @@
-//! Punctuality of the cycles: asked and achieved rate, lateness, missed cycles.
+//! Punctuality of the cycles: requested and achieved rate, lateness, missed cycles.
 
 use serde::Serialize;
 
@@ -91,7 +91,7 @@ pub(super) fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.get(rank.min(values.len()).wrapping_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Asked and achieved rate, lateness, missed cycles.
+/// Requested and achieved rate, lateness, missed cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
     pub rate_asked_hz: f64,

@@ -178,7 +178,7 @@ impl Trip {
     }
 
     /// A shaft that does not come to rest after the pulse of the checks.
-    pub(super) fn unrested(at_s: f64, speed_rad_s: f64, waited_s: f64) -> Self {
+    pub(super) fn not_at_rest(at_s: f64, speed_rad_s: f64, waited_s: f64) -> Self {
         let reason = format!(
             "the shaft does not come to rest: {speed_rad_s:.2} rad/s after {waited_s:.1} s of zero"
         );

@@ -20,10 +20,9 @@ fn changed_for_speed(from: &str, to: &str) -> Result<BenchFile, BenchFileError> 
     bench.check_speed("b.toml", &text).map(|()| bench)
 }
 
-/// The line of the embedded bench that begins like this, from 1.
+/// Number of the line of the embedded bench that begins with `begin`, from 1.
 fn line_of(begin: &str) -> usize {
-    let mut lines = EMBEDDED_DEFAULT.lines();
-    lines.position(|line| line.starts_with(begin)).unwrap() + 1
+    EMBEDDED_DEFAULT.lines().position(|line| line.starts_with(begin)).unwrap() + 1
 }
 
 fn is_read_back(bench: BenchFile) {
@@ -59,8 +58,7 @@ fn the_embedded_bench_documents_every_key() {
         speed.rule = Some(Rule::ModulusOptimum);
         speed.gains = Some(GainsSection { proportional_v_s_per_rad: 1.0, integral_time_s: 1.0 });
     }
-    let text = full.to_toml();
-    for (key, _) in text.lines().filter_map(|line| line.split_once(" = ")) {
+    for (key, _) in full.to_toml().lines().filter_map(|line| line.split_once(" = ")) {
         has(EMBEDDED_DEFAULT, &format!("{key} = "));
     }
 }
@@ -95,7 +93,7 @@ fn an_impossible_value_is_named_with_key_and_allowed_range() {
 }
 
 #[test]
-fn another_run_seed_is_another_run_and_the_same_one_the_same() {
+fn runs_of_equal_seeds_are_equal_and_of_others_not() {
     let bench = BenchFile::embedded_default();
     let runs = bench.runs;
     let corners = |seed| bench.program(seed).unwrap().polyline();

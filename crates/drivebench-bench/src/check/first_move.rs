@@ -20,7 +20,7 @@ const DIRECTION: &str = "direction";
 /// Motor and drive of the pulse.
 #[derive(Clone, Copy)]
 pub struct FirstMove<'a> {
-    pub plate: &'a Nameplate,
+    pub nameplate: &'a Nameplate,
     pub profile: &'a DriveProfile,
     /// No pulse is made: only the checks before it are wanted.
     pub is_withheld: bool,
@@ -50,7 +50,7 @@ impl Checker<'_> {
         options: CheckOptions<'_>,
     ) -> Result<bool, CheckError> {
         let Some(first) = options.first_move else {
-            let text = "not tried: the motor is not known, and what finds it begins with steps that are as small";
+            let text = "not tried: the motor is not known, and the escalation begins with equally small steps";
             return Ok(self.note(DIRECTION, true, text, ""));
         };
         if first.is_withheld {
@@ -63,7 +63,7 @@ impl Checker<'_> {
             return Ok(self.note_or_waive(DIRECTION, false, true, text, ""));
         }
         let identity = &self.report.identity;
-        if !identity.is_emulator && !options.hardware_said {
+        if !identity.is_emulator && !options.hardware_confirmed {
             let text = "a small pulse would turn the shaft of real hardware";
             let help = "pass --hardware if the shaft may turn a little now, or --waive-direction";
             return Ok(self.note(DIRECTION, false, text, help));
@@ -82,8 +82,8 @@ impl Checker<'_> {
         let map = first.profile.registers.as_deref();
         let current = map.and_then(|map| map.of_channel(Channel::Current));
         let known = Known {
-            plate: first.plate,
-            size: Size::of(first.plate, limits, self.link.zero(), speed.1, self.period_s),
+            nameplate: first.nameplate,
+            size: Size::of(first.nameplate, limits, self.link.zero(), speed.1, self.period_s),
             current: floor(noise, Channel::Current),
             speed,
             noise_v: floor(noise, Channel::Voltage).1,
@@ -92,17 +92,20 @@ impl Checker<'_> {
         };
         let still = self.still(limits);
         let one_way = limits.quadrants < 4;
-        let (legs, abort) = Mover::new(self, limits, known, still).pulse(one_way);
+        let (legs, abort) = PulseRun::new(self, limits, known, still).pulse(one_way);
         if let Some(Abort::Error(error)) = abort {
             return Err(error);
         }
         let gives_speed = self.report.signals.contains(&Channel::Speed);
-        let is_blind = |leg: &Leg| leg.points.iter().all(|point| point.speed_rad_s.is_none());
-        let lost_speed = gives_speed && legs.iter().any(is_blind);
+        let has_no_speed = |leg: &Leg| leg.points.iter().all(|point| point.speed_rad_s.is_none());
+        let lost_speed = gives_speed && legs.iter().any(has_no_speed);
         let (figures, refusal) = judge::direction(&known, &legs);
         let (ratios, implausible) = judge::plausibility(&known, &legs);
-        let way =
-            if one_way { "one way, as the converter goes no other" } else { "one way and back" };
+        let way = if one_way {
+            "one way, as the converter has one direction"
+        } else {
+            "one way and back"
+        };
         let figures = format!("pulse {way}: {figures}");
         let (text, help) = match (abort, refusal) {
             (Some(Abort::Moved(text)), _) => {
@@ -147,8 +150,8 @@ fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
     Some(&map?.demand(quantity)?.name)
 }
 
-/// The pulse under way.
-struct Mover<'c, 'a> {
+/// State of the pulse.
+struct PulseRun<'c, 'a> {
     checker: &'c mut Checker<'a>,
     guard: Guard,
     known: Known<'c>,
@@ -163,19 +166,19 @@ struct Mover<'c, 'a> {
     slept_s: f64,
 }
 
-impl<'c, 'a> Mover<'c, 'a> {
+impl<'c, 'a> PulseRun<'c, 'a> {
     fn new(checker: &'c mut Checker<'a>, limits: &Limits, known: Known<'c>, still: Still) -> Self {
-        let Known { plate, size, .. } = known;
+        let Known { nameplate, size, .. } = known;
         let of_pulse = Limits {
-            current_a: limits.current_a.min(1.5 * plate.rated_current_a + size.hold_a.abs()),
-            speed_rad_s: limits.speed_rad_s.min(0.25 * plate.rated_speed_rad_s),
+            current_a: limits.current_a.min(1.5 * nameplate.rated_current_a + size.hold_a.abs()),
+            speed_rad_s: limits.speed_rad_s.min(0.25 * nameplate.rated_speed_rad_s),
             ..limits.clone()
         };
         let limit_a = checker.report.identity.current_limit_a;
         let (mean, std) = floor(&checker.report.noise, Channel::Speed);
         let share = (0.01 * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
         Self {
-            guard: Guard::new(of_pulse, plate, limit_a)
+            guard: Guard::new(of_pulse, nameplate, limit_a)
                 .with_period(checker.period_s)
                 .with_enable_time(checker.times().enable_s),
             known,
@@ -228,11 +231,11 @@ impl<'c, 'a> Mover<'c, 'a> {
             self.hold_for(brake.apply_s)?;
         }
         let mut has_reported = false;
-        let stands = |state| {
+        let has_stopped = |state| {
             has_reported = true;
             state != DriveState::Running
         };
-        if self.checker.until(Demand::Disable, stands)? {
+        if self.checker.until(Demand::Disable, has_stopped)? {
             return Ok(());
         }
         let waited_s = self.checker.times().stop_s;
@@ -302,7 +305,7 @@ impl<'c, 'a> Mover<'c, 'a> {
             let waited_s = self.next_s - begin_s;
             // A current may have an offset, so it is waited for no longer than 2 s.
             let brakes = waited_s < 2.0 && sample.as_ref().is_some_and(|s| self.brakes(s));
-            // A lost reply shows no rest. A drive without a speed is only given the time.
+            // A lost reply is no evidence of rest. Without a measured speed only the time counts.
             rests = match (&sample, speed) {
                 (None, _) => 0,
                 (Some(_), Some(speed)) if (speed - self.rest.0).abs() > self.rest.1 => 0,
@@ -311,7 +314,7 @@ impl<'c, 'a> Mover<'c, 'a> {
             };
             if waited_s > 8.0 {
                 let speed = speed.unwrap_or(0.0);
-                return Err(Abort::Trip(Trip::unrested(self.next_s, speed, waited_s)));
+                return Err(Abort::Trip(Trip::not_at_rest(self.next_s, speed, waited_s)));
             }
         }
         Ok(())

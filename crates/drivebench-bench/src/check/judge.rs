@@ -22,7 +22,7 @@ const NOISE_FACTOR: f64 = 6.0;
 /// What is known of the sensors and the motor.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Known<'a> {
-    pub(super) plate: &'a Nameplate,
+    pub(super) nameplate: &'a Nameplate,
     pub(super) size: Size,
     /// Mean and standard deviation at rest with the output off.
     pub(super) current: (f64, f64),
@@ -41,7 +41,7 @@ impl Known<'_> {
     }
 
     pub(super) fn flowed_a(&self) -> f64 {
-        (NOISE_FACTOR * self.current.1).max(0.02 * self.plate.rated_current_a)
+        (NOISE_FACTOR * self.current.1).max(0.02 * self.nameplate.rated_current_a)
     }
 }
 
@@ -178,8 +178,8 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
             "turn the shaft by hand and watch the speed; check the encoder's cable and supply",
         ));
     }
-    let torque = known.plate.back_emf_v_s_per_rad * amps.abs();
-    let friction = known.plate.load_torque_n_m;
+    let torque = known.nameplate.back_emf_v_s_per_rad * amps.abs();
+    let friction = known.nameplate.load_torque_n_m;
     let with = format!("{torque:.3} N.m by the nameplate, whose friction is {friction:.3} N.m");
     // Enough to turn a free shaft.
     Some(if torque > 1.7 * friction {
@@ -206,7 +206,7 @@ const AVERAGED: usize = 2;
 struct Ratio {
     name: &'static str,
     unit: &'static str,
-    plate: f64,
+    nameplate: f64,
     /// Shares of the nameplate's value that a specimen may have.
     plausible: (f64, f64),
     /// Of the nameplate's value: lowest, likeliest, highest.
@@ -215,26 +215,27 @@ struct Ratio {
 
 impl Ratio {
     /// The resistance; the voltage drop of brushes and bridge counts as winding.
-    const fn resistance(plate: f64, interval: (f64, f64, f64)) -> Self {
-        Self { name: "resistance", unit: "ohm", plate, plausible: (0.5, 3.0), interval }
+    const fn resistance(nameplate: f64, interval: (f64, f64, f64)) -> Self {
+        Self { name: "resistance", unit: "ohm", nameplate, plausible: (0.5, 3.0), interval }
     }
 
     /// The flux of a specimen, cold or warm.
-    const fn back_emf(plate: f64, interval: (f64, f64, f64)) -> Self {
-        Self { name: "back-EMF constant", unit: "V.s/rad", plate, plausible: (0.7, 1.4), interval }
+    const fn back_emf(nameplate: f64, interval: (f64, f64, f64)) -> Self {
+        let plausible = (0.7, 1.4);
+        Self { name: "back-EMF constant", unit: "V.s/rad", nameplate, plausible, interval }
     }
 
     fn text(&self) -> String {
         let (low, value, high) = self.interval;
-        let Self { name, unit, plate, .. } = self;
+        let Self { name, unit, nameplate, .. } = self;
         if self.is_undetermined() {
             return format!(
-                "the {name} is not determined by a pulse of this size ({low:.2} to {high:.2} times the nameplate's {plate} {unit})"
+                "the {name} is not determined by a pulse of this size ({low:.2} to {high:.2} times the nameplate's {nameplate} {unit})"
             );
         }
         format!(
-            "{name} {:.3} {unit} ({low:.2} to {high:.2} times the nameplate's {plate})",
-            value * plate
+            "{name} {:.3} {unit} ({low:.2} to {high:.2} times the nameplate's {nameplate})",
+            value * nameplate
         )
     }
 
@@ -341,7 +342,7 @@ fn moves_at(known: &Known<'_>, leg: &Leg) -> Option<usize> {
 }
 
 /// The last samples at rest and the last ones in motion.
-fn ends(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
+fn rest_and_motion(known: &Known<'_>, leg: &Leg) -> (Option<Mean>, Option<Mean>) {
     let all = leg.points.len();
     let first = moves_at(known, leg);
     let rest = mean(known, leg, 0..first.unwrap_or(all));
@@ -356,17 +357,17 @@ fn interval(value: f64, doubt: f64, by: f64, by_doubt: f64) -> (f64, f64, f64) {
 }
 
 fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
-    let plate = known.plate;
-    let (r, ke) = (plate.resistance_ohm, plate.back_emf_v_s_per_rad);
+    let nameplate = known.nameplate;
+    let (r, ke) = (nameplate.resistance_ohm, nameplate.back_emf_v_s_per_rad);
     // Three standard deviations of the mean.
     let noise_a = 3.0 * known.current.1 / (AVERAGED as f64).sqrt();
     let noise_rad_s = 3.0 * known.speed.1 / (AVERAGED as f64).sqrt();
     // Uncertainty of a voltage for constant drops, and of a difference of two voltages, as shares of the rated voltage.
     let (drop_share, difference_share) = (0.015, 0.003);
-    let (rest, motion) = ends(known, leg);
+    let (rest, motion) = rest_and_motion(known, leg);
     let mut ratios = Vec::new();
     if let Some(rest) = rest {
-        let drop_v = drop_share * plate.rated_voltage_v;
+        let drop_v = drop_share * nameplate.rated_voltage_v;
         let by_v = r * rest.current_a.abs();
         let found = interval(rest.voltage_v, drop_v + rest.step_v, by_v, r * noise_a);
         ratios.push(Ratio::resistance(r, found));
@@ -379,7 +380,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
         let emf_v = motion.voltage_v - from.voltage_v - r * change_a;
         let doubt_v = from.step_v
             + motion.step_v
-            + share * plate.rated_voltage_v
+            + share * nameplate.rated_voltage_v
             // The resistance of the nameplate may be off by 30 %.
             + r * (0.3 * change_a.abs() + noise_a);
         ratios.push(Ratio::back_emf(ke, interval(emf_v, doubt_v, by_v, ke * noise_rad_s)));
@@ -409,8 +410,8 @@ pub(super) fn wrong_speed(known: &Known<'_>, leg: &Leg) -> Option<String> {
 }
 
 /// A pause has left no sample in motion that can be evaluated, or a voltage that is not the one of the pulse.
-fn is_spoilt(known: &Known<'_>, leg: &Leg) -> bool {
-    let (rest, motion) = ends(known, leg);
+fn cannot_be_evaluated(known: &Known<'_>, leg: &Leg) -> bool {
+    let (rest, motion) = rest_and_motion(known, leg);
     let lost = |first: usize| leg.points[first..].iter().all(|point| point.is_after_pause);
     let is_lost = moves_at(known, leg).is_some_and(lost);
     // Without a pause a step is one cycle of the rise.
@@ -427,9 +428,9 @@ pub(super) fn is_settled(known: &Known<'_>, leg: &Leg) -> bool {
     let fits = |ratio: &Ratio| !ratio.is_refused() && !ratio.is_undetermined();
     leg.pause_s.is_none()
         || fault(known, leg.direction, &Extremes::of(known, leg)).is_none()
-            && !is_spoilt(known, leg)
+            && !cannot_be_evaluated(known, leg)
             && ratios(known, leg).iter().all(fits)
-            && followed(known, leg).is_none_or(|(_, good)| good)
+            && followed(known, leg).is_none_or(|(_, is_near)| is_near)
 }
 
 const NAMEPLATE_HELP: &str = "correct [motor] or the units of the drive's profile; `--escalate` finds a motor whose nameplate is in doubt; --waive-plausibility goes on";
@@ -452,15 +453,15 @@ pub(super) fn plausibility(
             }
             texts.push(format!("{way} {text}"));
         }
-        if let Some((text, good)) = followed(known, leg) {
-            if !good && refusal.is_none() {
+        if let Some((text, is_near)) = followed(known, leg) {
+            if !is_near && refusal.is_none() {
                 refusal = wrong_speed(known, leg).map(|text| (text, NAMEPLATE_HELP));
             }
             texts.push(format!("{way} {text}"));
         }
         if let Some(pause_s) = leg.pause_s {
             let text = format!("{way} a pause of {pause_s:.3} s between two samples");
-            if is_spoilt(known, leg) && refusal.is_none() {
+            if cannot_be_evaluated(known, leg) && refusal.is_none() {
                 let why = "the pulse was repeated and still cannot be evaluated";
                 refusal = Some((format!("{text}: {why}"), PAUSE_HELP));
             }
@@ -480,11 +481,11 @@ mod tests {
     use crate::testing::has;
     use drivebench_model::sample::{Channel, Demand, Sample};
 
-    fn known(plate: &Nameplate, zero: Demand) -> Known<'_> {
+    fn known(nameplate: &Nameplate, zero: Demand) -> Known<'_> {
         let limits = Limits::for_motor(&Nameplate::zk_22fc(), 100.0);
         Known {
-            plate,
-            size: Size::of(plate, &limits, zero, 0.15, 0.01),
+            nameplate,
+            size: Size::of(nameplate, &limits, zero, 0.15, 0.01),
             current: (0.0, 0.03),
             speed: (0.0, 0.15),
             noise_v: 0.02,
@@ -493,8 +494,8 @@ mod tests {
         }
     }
 
-    fn known_at_voltage(plate: &Nameplate) -> Known<'_> {
-        known(plate, Demand::Voltage(0.0))
+    fn known_at_voltage(nameplate: &Nameplate) -> Known<'_> {
+        known(nameplate, Demand::Voltage(0.0))
     }
 
     fn push(known: &Known<'_>, leg: &mut Leg, time_s: f64, volts: f64, current_a: f64, speed: f64) {
@@ -505,10 +506,10 @@ mod tests {
 
     #[test]
     fn each_fault_of_a_direction_has_a_message() {
-        let plate = Nameplate::zk_22fc();
+        let nameplate = Nameplate::zk_22fc();
         // Both ways, ending with these figures of the positive one.
         let ended = |volts: f64, current_a: f64, speed: f64, signed_current: bool| {
-            let known = Known { signed_current, ..known_at_voltage(&plate) };
+            let known = Known { signed_current, ..known_at_voltage(&nameplate) };
             let legs = [1.0, -1.0].map(|way| {
                 let mut leg = Leg::new(way);
                 for _ in 0..3 {
@@ -542,8 +543,8 @@ mod tests {
 
     #[test]
     fn a_current_offset_that_follows_the_voltage_is_found() {
-        let plate = Nameplate::zk_22fc();
-        let known = known_at_voltage(&plate);
+        let nameplate = Nameplate::zk_22fc();
+        let known = known_at_voltage(&nameplate);
         let pulse = |current_a: fn(f64) -> f64| {
             let mut leg = Leg::new(1.0);
             for step in 0..8 {
@@ -596,24 +597,24 @@ mod tests {
 
     #[test]
     fn a_nameplate_is_refused_where_it_contradicts_the_pulse() {
-        let plate = Nameplate::zk_22fc();
+        let nameplate = Nameplate::zk_22fc();
         let rpm = rpm_from_rad_s(1.0);
         let per_rpm = Nameplate {
             back_emf_v_s_per_rad: 0.3538 / rpm,
             // The torque constant changes with it.
             load_torque_n_m: 0.455 / rpm,
-            ..plate.clone()
+            ..nameplate.clone()
         };
-        let other = Nameplate { resistance_ohm: 12.0, ..plate.clone() };
-        for (plate, factors, drop_v, words) in [
-            (&plate, (1.0, 1.0), 0.0, None),
-            (&plate, (1.0, 1.0), 1.2, None),
+        let other = Nameplate { resistance_ohm: 12.0, ..nameplate.clone() };
+        for (nameplate, factors, drop_v, words) in [
+            (&nameplate, (1.0, 1.0), 0.0, None),
+            (&nameplate, (1.0, 1.0), 1.2, None),
             (&per_rpm, (1.0, 1.0), 0.0, Some("V per r/min on the nameplate")),
-            (&plate, (1.0, rpm), 0.0, Some("r/min that is taken for rad/s")),
-            (&plate, (1e3, 1.0), 0.0, Some("mA that is taken for A")),
+            (&nameplate, (1.0, rpm), 0.0, Some("r/min that is taken for rad/s")),
+            (&nameplate, (1e3, 1.0), 0.0, Some("mA that is taken for A")),
             (&other, (1.0, 1.0), 0.0, Some("another motor")),
         ] {
-            let known = known_at_voltage(plate);
+            let known = known_at_voltage(nameplate);
             let leg = slow_pulse(&known, 1.0, factors, drop_v, |_| 0.01);
             let (text, refusal) = plausibility(&known, &[leg]);
             let refusal = refusal.map(|(text, _)| text);
@@ -625,8 +626,8 @@ mod tests {
 
     #[test]
     fn a_wrong_speed_is_refused_with_the_set_points_name() {
-        let plate = Nameplate::zk_22fc();
-        let known = Known { set_point: Some("speed_ref"), ..known(&plate, Demand::Speed(0.0)) };
+        let nameplate = Nameplate::zk_22fc();
+        let known = Known { set_point: Some("speed_ref"), ..known(&nameplate, Demand::Speed(0.0)) };
         let mut leg = Leg::new(1.0);
         leg.push(&known.size, 7.5, Demand::Speed(7.5), &Sample::at(0.0).with(Channel::Speed, 32.8));
         let text = plausibility(&known, &[leg]).1.unwrap().0;
@@ -668,8 +669,8 @@ mod tests {
 
     #[test]
     fn the_samples_after_a_pause_are_not_evaluated() {
-        let plate = Nameplate::zk_22fc();
-        let known = known_at_voltage(&plate);
+        let nameplate = Nameplate::zk_22fc();
+        let known = known_at_voltage(&nameplate);
         let pulses = |pause_s: f64, after: fn(usize) -> bool| {
             let period_s = |point| if after(point) { pause_s } else { 0.01 };
             [1.0, -1.0].map(|way| slow_pulse(&known, way, (1.0, 1.0), 0.0, period_s))

@@ -9,10 +9,10 @@ use drivebench_model::sample::{Channel, Demand, Sample};
 const PAUSE_CYCLES: f64 = 2.5;
 
 /// What holds a load at rest, in the unit of the quantity and as current.
-pub(super) fn hold(kind: Actuator, plate: &Nameplate, limits: &Limits) -> (f64, f64) {
+pub(super) fn hold(kind: Actuator, nameplate: &Nameplate, limits: &Limits) -> (f64, f64) {
     let hold_a = limits.load.hold_a();
     let hold = match kind {
-        Actuator::Voltage => plate.resistance_ohm * hold_a,
+        Actuator::Voltage => nameplate.resistance_ohm * hold_a,
         Actuator::Current => hold_a,
         Actuator::Speed => 0.0,
     };
@@ -44,30 +44,30 @@ pub(super) struct Size {
 impl Size {
     /// `noise_rad_s`: standard deviation of the speed at rest.
     pub(super) fn of(
-        plate: &Nameplate,
+        nameplate: &Nameplate,
         limits: &Limits,
         zero: Demand,
         noise_rad_s: f64,
         period_s: f64,
     ) -> Self {
         let kind = commanded(zero);
-        let (r, ke) = (plate.resistance_ohm, plate.back_emf_v_s_per_rad);
+        let (r, ke) = (nameplate.resistance_ohm, nameplate.back_emf_v_s_per_rad);
         // Current beyond the nameplate's friction.
-        let share_a = 0.3 * plate.rated_current_a;
-        let (hold, hold_a) = hold(kind, plate, limits);
+        let share_a = 0.3 * nameplate.rated_current_a;
+        let (hold, hold_a) = hold(kind, nameplate, limits);
         // Enough to overcome the friction, but not beyond the rated current.
-        let goal_a = (plate.load_torque_n_m / ke + share_a)
-            .min(plate.rated_current_a)
+        let goal_a = (nameplate.load_torque_n_m / ke + share_a)
+            .min(nameplate.rated_current_a)
             .max(share_a)
             .min(0.5 * limits.current_a);
         // 3 % of the rated speed, and with a noisy sensor 8 standard deviations, but never above 10 %.
-        let goal_rad_s = (0.03 * plate.rated_speed_rad_s)
+        let goal_rad_s = (0.03 * nameplate.rated_speed_rad_s)
             .max(8.0 * noise_rad_s)
-            .min(0.1 * plate.rated_speed_rad_s)
+            .min(0.1 * nameplate.rated_speed_rad_s)
             .min(0.5 * limits.speed_rad_s);
         let top = match kind {
             Actuator::Voltage => (2.0 * (r * goal_a + ke * goal_rad_s))
-                .min(0.25 * plate.rated_voltage_v)
+                .min(0.25 * nameplate.rated_voltage_v)
                 .min(0.5 * limits.voltage_v),
             Actuator::Current => goal_a,
             Actuator::Speed => 2.0 * goal_rad_s,
@@ -75,7 +75,7 @@ impl Size {
         let rise_s = (12.0 * period_s).max(0.6);
         // The inertia may be twice that of the nameplate, and the shaft may still turn the other way at first: four run-ups
         // beyond the rise, at most 5 s.
-        let run_up_s = plate.inertia_kg_m2 * goal_rad_s / (ke * share_a);
+        let run_up_s = nameplate.inertia_kg_m2 * goal_rad_s / (ke * share_a);
         let wait_s = (4.0 * run_up_s).clamp(0.5 * rise_s, (0.5 * rise_s).max(5.0));
         Self {
             kind,
@@ -109,7 +109,7 @@ impl Size {
     }
 
     /// The voltage equation gives twice the goal in this direction, and the encoder less than a tenth of it.
-    fn is_encoder_dead(&self, point: &Point, direction: f64) -> bool {
+    fn is_encoder_frozen(&self, point: &Point, direction: f64) -> bool {
         let stands = |w: f64| w.abs() < 0.1 * self.goal_rad_s;
         let turns = |w: f64| w * direction > 2.0 * self.goal_rad_s;
         point.speed_rad_s.is_some_and(stands) && self.by_voltage_rad_s(point).is_some_and(turns)
@@ -158,12 +158,12 @@ impl Leg {
     /// The demand `time_s` after the start; `None`: the pulse is over.
     pub(super) fn demand(&self, size: &Size, time_s: f64) -> Option<f64> {
         let arrives = |point: &Point| !point.is_after_pause && size.is_at_goal(point);
-        let is_dead = |point: &Point| size.is_encoder_dead(point, self.direction);
+        let is_frozen = |point: &Point| size.is_encoder_frozen(point, self.direction);
         // Two samples: one may be a spike.
         let arrived = self
             .points
             .last_chunk::<2>()
-            .is_some_and(|latest| latest.iter().all(arrives) || latest.iter().all(is_dead));
+            .is_some_and(|latest| latest.iter().all(arrives) || latest.iter().all(is_frozen));
         let first = self.points.first().and_then(|point| point.angle_rad);
         let last = self.points.last().and_then(|point| point.angle_rad);
         let travelled = first.zip(last).map_or(0.0, |(a, b)| (b - a).abs());
@@ -218,8 +218,8 @@ mod tests {
     use crate::testing::near;
 
     fn size(zero: Demand) -> Size {
-        let plate = Nameplate::zk_22fc();
-        Size::of(&plate, &Limits::for_motor(&plate, 100.0), zero, 0.15, 0.01)
+        let nameplate = Nameplate::zk_22fc();
+        Size::of(&nameplate, &Limits::for_motor(&nameplate, 100.0), zero, 0.15, 0.01)
     }
 
     fn voltage_size() -> Size {

@@ -41,7 +41,7 @@ fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
 }
 
 /// The signal of one sample that exceeds rest; `settled`: by the bound of a mean, else by three times that.
-fn unrest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
+fn beyond_rest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
     let factor = if settled { 1.0 } else { 3.0 };
     let beyond = |(channel, limit, share): (Channel, f64, f64)| {
         let (value, most) = (sample.get(channel)?, factor * share * limit);
@@ -51,7 +51,7 @@ fn unrest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
 }
 
 /// The signal whose mean or spread exceeds rest.
-fn unrest_of_all(noise: &[NoiseFloor], limits: &Limits) -> Option<String> {
+fn means_beyond_rest(noise: &[NoiseFloor], limits: &Limits) -> Option<String> {
     let beyond = |(channel, limit, share): (Channel, f64, f64)| {
         let floor = noise.iter().find(|floor| floor.channel == channel)?;
         let most = share * limit;
@@ -117,7 +117,7 @@ impl Checker<'_> {
             return true;
         };
         let text = format!(
-            "the line carries at most {most_hz:.0} Hz at its baud rate, asked {rate_hz} Hz"
+            "the line carries at most {most_hz:.0} Hz at its baud rate, requested {rate_hz} Hz"
         );
         self.note(RATE_CHECK, false, text, "lower link.rate_hz, or raise the baud rate")
     }
@@ -156,7 +156,7 @@ impl Checker<'_> {
                 self.running(&last);
                 return Ok(None);
             }
-            let Some(text) = unrest(&last, limits, true) else {
+            let Some(text) = beyond_rest(&last, limits, true) else {
                 return Ok(Some(last));
             };
             let now_s = self.clock.now_s();
@@ -211,7 +211,9 @@ impl Checker<'_> {
                         begin_s += self.clock.now_s() - from_s;
                     } else if sample.state == Some(DriveState::Running) {
                         return Ok(self.running(&sample));
-                    } else if let Some(text) = unrest(&sample, limits, false).filter(|_| !faulty) {
+                    } else if let Some(text) =
+                        beyond_rest(&sample, limits, false).filter(|_| !faulty)
+                    {
                         let text = format!("the shaft moves with the output off: {text}");
                         return Ok(self.note(STANDSTILL, false, text, STANDSTILL_HELP));
                     }
@@ -242,7 +244,7 @@ impl Checker<'_> {
             _ => format!(", {late} late and {foreign} foreign frames on the line so far"),
         };
         let figures = format!(
-            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, asked {rate_hz} Hz{strays}",
+            "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, requested {rate_hz} Hz{strays}",
             1e3 * median_s,
             1e3 * tail_s
         );
@@ -284,11 +286,11 @@ impl Checker<'_> {
         let floors = self.report.noise.iter().filter(|floor| wanted.contains(&floor.channel));
         let figures: Vec<String> = floors.map(figure).collect();
         let fault = samples.last().and_then(|sample| sample.state) == Some(DriveState::Fault);
-        let unrest = unrest_of_all(&self.report.noise, limits);
-        let passed = !fault && unrest.is_none();
-        let text = match unrest {
+        let beyond_rest = means_beyond_rest(&self.report.noise, limits);
+        let passed = !fault && beyond_rest.is_none();
+        let text = match beyond_rest {
             _ if fault => "the drive is in fault".to_owned(),
-            Some(unrest) => format!("{unrest} ({})", figures.join(", ")),
+            Some(beyond_rest) => format!("{beyond_rest} ({})", figures.join(", ")),
             None => figures.join(", "),
         };
         self.note(STANDSTILL, passed, text, STANDSTILL_HELP)
@@ -405,16 +407,16 @@ mod tests {
     }
 
     #[test]
-    fn a_braking_that_averages_to_nothing_is_no_noise() {
+    fn a_braking_of_zero_mean_is_no_noise() {
         let floor = |channel, mean, std| NoiseFloor { channel, mean, std, samples: 50 };
         // Of a drive that was stopped while it turned at 105 rad/s.
         let braking =
             [floor(Channel::Speed, 2.1551, 11.3723), floor(Channel::Current, -0.4720, 2.0936)];
-        has(unrest_of_all(&braking, &limits()).unwrap(), "spread 11.37");
+        has(means_beyond_rest(&braking, &limits()).unwrap(), "spread 11.37");
         let quiet = [floor(Channel::Speed, 0.02, 0.15), floor(Channel::Current, 0.1, 0.03)];
-        assert_eq!(unrest_of_all(&quiet, &limits()), None);
-        assert!(unrest(&sample(30.0, 0.0, 0.0), &limits(), false).is_some());
-        assert_eq!(unrest(&sample(0.5, 0.2, 0.5), &limits(), true), None);
+        assert_eq!(means_beyond_rest(&quiet, &limits()), None);
+        assert!(beyond_rest(&sample(30.0, 0.0, 0.0), &limits(), false).is_some());
+        assert_eq!(beyond_rest(&sample(0.5, 0.2, 0.5), &limits(), true), None);
     }
 
     #[test]

@@ -23,7 +23,7 @@ fn options() -> CheckOptions<'static> {
     CheckOptions {
         rate_hz: 100.0,
         hardware_allowed: false,
-        hardware_said: false,
+        hardware_confirmed: false,
         waivers: NONE,
         first_move: None,
         stopped: &|| false,
@@ -39,12 +39,12 @@ fn limits() -> Limits {
     BenchFile::embedded_default().limits()
 }
 
-/// Plate and profile of a first move on our own drive.
+/// Nameplate and profile of a first move on our own drive.
 fn plain() -> (Nameplate, DriveProfile) {
     (BenchFile::embedded_default().nameplate().unwrap(), DriveProfile::named("own").unwrap())
 }
 
-/// With the first move on this plate and drive.
+/// With the first move on this nameplate and drive.
 fn moving(first: &(Nameplate, DriveProfile)) -> CheckOptions<'_> {
     stopped_by(&|| false, first)
 }
@@ -52,16 +52,16 @@ fn moving(first: &(Nameplate, DriveProfile)) -> CheckOptions<'_> {
 /// The same with a stop request.
 fn stopped_by<'a>(
     stopped: &'a (dyn Fn() -> bool + Send + Sync),
-    (plate, profile): &'a (Nameplate, DriveProfile),
+    (nameplate, profile): &'a (Nameplate, DriveProfile),
 ) -> CheckOptions<'a> {
     CheckOptions {
-        first_move: Some(FirstMove { plate, profile, is_withheld: false }),
+        first_move: Some(FirstMove { nameplate, profile, is_withheld: false }),
         stopped,
         ..options()
     }
 }
 
-/// A bench over a software drive, with the first move.
+/// A bench over an emulated drive, with the first move.
 fn moved(
     config: &EmulatorConfig,
     bench: &BenchFile,
@@ -203,8 +203,8 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
         assert!(cycles.fetch_add(1, Ordering::Relaxed) < 30, "boom");
         false
     };
-    let asked = stopped_by(&bomb, &first);
-    let checked = AssertUnwindSafe(|| check(&mut link, &mut clock, &limits(), asked).map(|_| ()));
+    let options = stopped_by(&bomb, &first);
+    let checked = AssertUnwindSafe(|| check(&mut link, &mut clock, &limits(), options).map(|_| ()));
     assert!(catch_unwind(checked).is_err(), "the pulse has more than 30 cycles");
     // Long before the drive's watchdog of 0.5 s, and five time constants of the winding.
     link.advance_to(clock.now_s() + 0.05);
@@ -216,15 +216,15 @@ fn a_panic_within_the_pulse_leaves_the_output_off() {
 fn a_stop_ends_the_pulse_and_a_weak_field_precedes_it() {
     let first = plain();
     let (mut link, mut clock) = in_memory(&emulator("zk-22fc-plain"), 3);
-    let asked = stopped_by(&|| true, &first);
-    let stopped = check(&mut link, &mut clock, &limits(), asked);
+    let options = stopped_by(&|| true, &first);
+    let stopped = check(&mut link, &mut clock, &limits(), options);
     assert!(matches!(stopped, Err(CheckError::Stopped)), "{stopped:?}");
     turned_less(&link, 1e-12);
     let limits = Limits { field_min_a: Some(0.3), ..limits() };
-    refuses(&check(&mut link, &mut clock, &limits, asked).unwrap(), "field", "");
+    refuses(&check(&mut link, &mut clock, &limits, options).unwrap(), "field", "");
 }
 
-/// The checks before a scripted drive: the output is off afterwards, whatever was found.
+/// The checks on a scripted drive: the output is off afterwards in every case.
 fn checked(
     drive: &mut ScriptedDrive,
     options: CheckOptions<'_>,
@@ -275,7 +275,7 @@ fn the_emulated_drive_passes_unless_its_link_is_slow() {
     within(speed_noise(&report), 0.1..0.2);
     assert!(report.signals.contains(&Channel::Current));
     let report = emulated(Latency { request_s: 0.01, reply_s: 0.01 });
-    refuses(&report, "link", "reaches 50 Hz, asked 100 Hz");
+    refuses(&report, "link", "reaches 50 Hz, requested 100 Hz");
     assert_eq!(report.items.len(), 3, "nothing is tried after a refusal");
 }
 
@@ -288,7 +288,7 @@ fn a_drive_that_is_not_safe_to_energise_is_refused() {
     for (mut drive, options, check, words) in [
         (hardware(), options(), "identity", "hardware"),
         (hardware(), reset, "identity", "hardware"),
-        (slow_line, options(), RATE_CHECK, "at most 50 Hz at its baud rate, asked 100 Hz"),
+        (slow_line, options(), RATE_CHECK, "at most 50 Hz at its baud rate, requested 100 Hz"),
         (faulty(5, 15, Fault::Timeout), options(), "link", "10 lost"),
         (faulty(0, u64::MAX, turns.clone()), options(), "standstill", "does not come to rest"),
         // One that begins to move later is no noise either.
@@ -326,7 +326,7 @@ fn a_drive_whose_watchdog_does_nothing_is_refused_unless_waived() {
 }
 
 #[test]
-fn a_shaft_that_coasts_is_waited_for_and_not_counted_as_noise() {
+fn a_coasting_shaft_is_waited_for_and_is_no_noise() {
     let mut drive = faulty(0, 30, Fault::Set(Channel::Speed, 50.0));
     let report = checked(&mut drive, waived()).unwrap();
     passes(&report);
@@ -394,7 +394,7 @@ fn a_latched_fault_is_reset_on_request() {
 }
 
 #[test]
-fn a_drive_has_its_time_to_run_at_any_rate_and_no_more() {
+fn the_enable_time_of_a_drive_does_not_depend_on_the_rate() {
     // With the watchdog waived, a drive that may take 2 s to run.
     let check_at = |drive: &mut ScriptedDrive, rate_hz: f64| {
         drive.times.enable_s = 2.0;
@@ -428,7 +428,7 @@ fn pauses_of_the_host_refuse_no_good_machine() {
         let refused = |seed| {
             let (mut link, mut clock) = stalls().at(&config, seed);
             let report = check(&mut link, &mut clock, &limits(), options).unwrap();
-            // A line that loses a tenth of its replies is refused as such, and rightly.
+            // A line that loses a tenth of its replies is refused as such.
             let refusal = report.refusal().filter(|item| item.name != "link")?;
             Some(format!("{seed}: {}", refusal.sentence()))
         };
@@ -500,7 +500,7 @@ fn a_wrong_word_order_or_scale_of_speed_stops_the_pulse() {
         let report = host.check(false);
         let refusal = &report.refusal().unwrap().text;
         has(format!("{order} {scale}: {refusal}"), "word order or scale of speed_ref right?");
-        // A quarter of the rated speed and what a cycle adds.
+        // A quarter of the rated speed, and the increase within one cycle.
         let link = &host.link;
         let speed = link.reading("speed").or(link.reading("shaft_speed"));
         assert!(speed.is_none_or(|rpm| rpm.abs() < 1000.0), "{speed:?}");
@@ -509,7 +509,7 @@ fn a_wrong_word_order_or_scale_of_speed_stops_the_pulse() {
 }
 
 #[test]
-fn a_set_point_that_reads_back_otherwise_is_refused_at_rest() {
+fn a_set_point_with_another_readback_is_refused_at_rest() {
     let mut host = Host::right();
     let bus = host.link.bus_mut();
     bus.write(16, 0x1026, &[5, 0]).unwrap();

@@ -1,11 +1,11 @@
-//! The escalation against the software drive, in virtual time. The drive's own current limit is set far away: nothing but
-//! the escalation keeps the current down.
+//! The escalation on the emulated drive, in virtual time. The drive's own current limit is set far away: only
+//! the escalation limits the current.
 
 use super::*;
 use crate::bench_file::LimitsSection;
 use crate::limits::MotorSection;
 use crate::session::Outcome as RunOutcome;
-use crate::testing::{Course, Tamper, Tampered, in_memory, plate_of, random_motor, within};
+use crate::testing::{Tamper, Tampered, TestRun, in_memory, nameplate_of, random_motor, within};
 use drivebench_emulator::{EmulatorConfig, MemoryLink, VirtualClock};
 use drivebench_identify::escalation::{Ending, Escalation, Outcome};
 use drivebench_link::{DriveLink, LinkError};
@@ -54,8 +54,8 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
         let session = stage_session(bench, stage).unwrap_or_else(|error| {
             panic!("seed {seed}: {error}: {stage:?} {:?}", escalation.history())
         });
-        let course = Course::at(bench.link.rate_hz);
-        let (summary, recorder) = course.run(session.after_seq(seq), &mut watched, &mut clock);
+        let test = TestRun::at(bench.link.rate_hz);
+        let (summary, recorder) = test.run(session.after_seq(seq), &mut watched, &mut clock);
         seq = summary.link.sent + 1;
         let ended = summary.outcome == RunOutcome::Done;
         outcomes.push(summary.outcome);
@@ -87,8 +87,7 @@ fn unknown_bench() -> BenchFile {
 }
 
 fn report(done: &Done) -> String {
-    let stages = done.escalation.history().iter().zip(&done.outcomes);
-    let lines = stages.map(|(stage, outcome)| {
+    let lines = done.escalation.history().iter().zip(&done.outcomes).map(|(stage, outcome)| {
         let (kind, outcome) = (stage.kind.name(), outcome.name());
         let (volts, line) = (stage.peak_v, &stage.line);
         format!("{kind:>10} {volts:>8.3} V: {line} [{outcome}]\n")
@@ -129,13 +128,13 @@ fn a_locked_rotor_and_an_open_phase_are_named() {
 }
 
 #[test]
-fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
+fn the_motor_is_identified_with_a_wrong_nameplate() {
     for name in ["zk-22fc-plain", "small-servo-behind-zk-22fc", "large-motor-behind-zk-22fc"] {
         let config = EmulatorConfig::embedded(name).unwrap();
         for seed in 1..=3 {
             let done = escalated(&unknown_bench(), &config, seed);
             let report = report(&done);
-            let truth = plate_of(config.motor.specimen(config.tolerance, seed)).motor();
+            let truth = nameplate_of(config.motor.specimen(config.tolerance, seed)).motor();
             let Some(Outcome::Found(found)) = done.escalation.outcome() else {
                 panic!("{name}: {report}");
             };
@@ -154,8 +153,8 @@ fn the_motor_behind_the_plate_is_found_whatever_the_plate_says() {
 fn the_sequence_is_scaled_until_every_limit_holds() {
     let bench = BenchFile::embedded_default();
     let scaled = |emulator| {
-        let plate = plate_of(EmulatorConfig::embedded(emulator).unwrap().motor);
-        scale(&bench, &plate, Some(11.4)).unwrap().unwrap()
+        let nameplate = nameplate_of(EmulatorConfig::embedded(emulator).unwrap().motor);
+        scale(&bench, &nameplate, Some(11.4)).unwrap().unwrap()
     };
     let same = scaled("zk-22fc-plain");
     assert!((same.factor - 1.0).abs() < 1e-12 && same.refusal.is_none());
@@ -213,7 +212,7 @@ fn fault_of(seed: u64) -> Option<String> {
         if estimate.verdict == Verdict::NotObservable {
             continue;
         }
-        let ratio = estimate.value.unwrap() / plate_of(truth.clone()).motor().get(key).unwrap();
+        let ratio = estimate.value.unwrap() / nameplate_of(truth.clone()).motor().get(key).unwrap();
         if (ratio - 1.0).abs() > 0.05 {
             return about(format!("{} {ratio:.3} of the truth", key.key()));
         }

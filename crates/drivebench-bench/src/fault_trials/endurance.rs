@@ -1,4 +1,4 @@
-//! Endurance: hours of runs over a line that spoils one reply in a hundred, in virtual time. No value is wrong, no run hangs,
+//! Endurance: hours of runs over a line with one faulty reply in a hundred, in virtual time. No value is wrong, no run hangs,
 //! memory and handles do not grow, and every cycle is a sample, a lost one, or a gap.
 
 use std::sync::atomic::AtomicBool;
@@ -99,20 +99,20 @@ fn checked_run(
     comparison: &mut Comparison,
     last_seq: u64,
 ) -> RunSummary {
-    let plate = bench.nameplate().unwrap();
+    let nameplate = bench.nameplate().unwrap();
     let options = CheckOptions {
         rate_hz: bench.link.rate_hz,
         hardware_allowed: true,
-        hardware_said: true,
+        hardware_confirmed: true,
         waivers: Waivers::default(),
-        first_move: Some(FirstMove { plate: &plate, profile, is_withheld: false }),
+        first_move: Some(FirstMove { nameplate: &nameplate, profile, is_withheld: false }),
         stopped: &|| false,
         reset_fault: true,
     };
     let report = check(link, clock, &bench.limits(), options).unwrap();
     assert!(report.refusal().is_none(), "{:?}", report.refusal());
     comparison.order = RowOrder::new(layout(&report.signals));
-    let guard = Guard::new(bench.limits(), &plate, None).with_period(bench.period_s());
+    let guard = Guard::new(bench.limits(), &nameplate, None).with_period(bench.period_s());
     let session = Session::new(Box::new(bench.program(1).unwrap()), guard)
         .after_seq(last_seq.max(report.last_seq))
         .with_rest(&report.rest);

@@ -7,7 +7,7 @@ use super::{BenchFile, trial_of};
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, Evidence, diagnose};
 use drivebench_model::plant::{Model, Scenario};
 
-/// Of each kind of spoilt reply ten in a thousand; late ones by 30 ms.
+/// Ten faulty replies of each kind in a thousand; late ones by 30 ms.
 const LINE: Act = Act::PoorLine(0.03, 10);
 
 /// Hidden effects, with their ids in the diagnosis.
@@ -18,7 +18,7 @@ const HIDDEN: [(&str, Hidden); 4] = [
     ("stribeck_friction", Hidden::Stribeck(0.2, 12.0)),
 ];
 const MACHINES: u64 = 20;
-/// Five spoilt replies within the allowed silence end a run, once in some ten minutes; such a run is repeated.
+/// Five faulty replies within the allowed silence end a run, once in some ten minutes; such a run is repeated.
 const MOST_REPEATED: u64 = 2;
 
 /// The steps of the bench, at more speeds, which distinguish a torque in proportion to the speed from one of its square.
@@ -43,7 +43,7 @@ fn answer(hidden: Hidden, act: Act, seed: u64) -> Option<Diagnosis> {
     Some(diagnose(&Model::baseline(motor), evidence).unwrap())
 }
 
-/// By how many standard deviations the motor's parameters lie apart.
+/// Differences of the motor's parameters in standard deviations.
 fn moves(a: &Diagnosis, b: &Diagnosis) -> Vec<f64> {
     let of = |diagnosis: &Diagnosis| {
         (diagnosis.model.parameters.clone().into_iter())

@@ -198,14 +198,14 @@ fn work(
     (interrupted, intents): (&AtomicBool, &Receiver<Intent>),
     trial: &mut Trial,
 ) {
-    let plate = bench.nameplate().unwrap();
+    let nameplate = bench.nameplate().unwrap();
     let stopped = || interrupted.load(Ordering::Acquire);
     let options = CheckOptions {
         rate_hz: bench.link.rate_hz,
         hardware_allowed: true,
-        hardware_said: true,
+        hardware_confirmed: true,
         waivers: Waivers::default(),
-        first_move: Some(FirstMove { plate: &plate, profile, is_withheld: false }),
+        first_move: Some(FirstMove { nameplate: &nameplate, profile, is_withheld: false }),
         stopped: &stopped,
         reset_fault: false,
     };
@@ -223,12 +223,12 @@ fn work(
     let runs = if way == Way::Commission { 3 } else { 1 };
     let mut last_seq = report.last_seq;
     for run_seed in 1..=runs {
-        let guard = Guard::new(bench.limits(), &plate, None).with_period(bench.period_s());
+        let guard = Guard::new(bench.limits(), &nameplate, None).with_period(bench.period_s());
         let session = match way {
             Way::Speed | Way::SpeedScreen => {
                 // A delay of one cycle, and the nameplate's model.
-                let (model, limits) = (Model::baseline(plate.motor()), bench.limits());
-                let design = speed_design(bench, &model, (&plate, &limits), 1.0);
+                let (model, limits) = (Model::baseline(nameplate.motor()), bench.limits());
+                let design = speed_design(bench, &model, (&nameplate, &limits), 1.0);
                 speed_session(bench, &Design { noise_rad_s: 0.05, ..design }, guard)
             }
             _ => Session::new(Box::new(bench.program(run_seed).unwrap()), guard),
@@ -363,7 +363,7 @@ fn cores() -> usize {
     std::thread::available_parallelism().map_or(1, usize::from)
 }
 
-/// These faults in every way, on every core. A seed decides when a fault comes, which replies it hits, and the sensors' noise.
+/// These faults in every way, on every core. A seed determines the time of a fault, the affected replies, and the sensors' noise.
 fn expect(subject: Subject) {
     let cases: Vec<(trials::Case, u64)> = (trials::cases(subject).into_iter())
         .filter(|(fault, _)| is_virtual(fault))
@@ -397,7 +397,7 @@ fn whatever_the_drive_does_it_ends_at_zero() {
 /// From the first instant at which the fault shows until a stop is on the line, and the allowed time, s; and the fault.
 fn stop_latency(seed: u64) -> (&'static str, f64, f64) {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    // The link lives, and the fault has a first instant at which it shows.
+    // The link is connected, and the fault has a first observable instant.
     let is_live = |fault: &&Fault| {
         let is_dead = matches!(fault.act, Act::PowerLost(_) | Act::Dead(_) | Act::Unplugged);
         fault.class == Class::Cut(0.0) && !is_dead

@@ -1,4 +1,4 @@
-//! Command shaping: slew, voltage, winding and supply limits, and the way down to zero.
+//! Command shaping: slew, voltage, winding and supply limits, and the ramp down to zero.
 //!
 //! While stopping the output only approaches the wanted one. The bounds of the winding and of the supply may slow it while the
 //! measured speed is fresh, plausible and falling, and a silent link holds it; both until the planned time of the ramp is over:
@@ -14,7 +14,7 @@ use drivebench_model::sample::Demand;
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
 const LONGEST_SLEW_TIME_S: f64 = 0.05;
 /// Periods for which a measured speed is valid. Without lost replies it is one period old at most.
-const FRESH_PERIODS: f64 = 1.5;
+pub(super) const FRESH_PERIODS: f64 = 1.5;
 
 /// Why a demand was changed; more than one may hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -39,7 +39,7 @@ impl Causes {
     }
 }
 
-/// A demand that may leave, and why it differs from the wanted one.
+/// A demand to be sent, and why it differs from the requested one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Shaped {
     pub demand: Demand,
@@ -62,12 +62,12 @@ pub(super) struct Shaper {
     speed_rad_s: f64,
     /// Speed below which the shaft counts as at rest, and its back-EMF as the sensor's noise.
     rest_rad_s: f64,
-    /// When it came; `None`: the drive gives none.
+    /// Host time of that speed, s; `None`: the drive gives none.
     speed_at_s: Option<f64>,
-    /// The last of them, the newest at the end.
+    /// The last six measured speeds, the newest at the end.
     speeds: VecDeque<f64>,
     /// Time for which it is valid, s.
-    fresh_s: f64,
+    pub(super) fresh_s: f64,
     /// Host time of the last valid reply, with a speed or without.
     replied_s: f64,
     /// Host time at which a ramp down has reached the wanted output, whatever is measured; `None`: not stopping.
@@ -95,10 +95,6 @@ impl Shaper {
             was_off: true,
             ..Self::default()
         }
-    }
-
-    pub(super) fn set_period(&mut self, period_s: f64) {
-        self.fresh_s = FRESH_PERIODS * period_s;
     }
 
     /// Time in which the slew limit takes a voltage back, s.
@@ -156,13 +152,13 @@ impl Shaper {
         is_plausible && is_fresh && self.speeds.front().zip(self.speeds.back()).is_some_and(falls)
     }
 
-    /// The next output while stopping: between the one before and the wanted one, and there in time.
-    fn towards(&self, now_s: f64, next: f64, before: f64, wanted: f64, fall_per_s: f64) -> f64 {
+    /// The next output while stopping: between the present and the wanted one, which it reaches by the planned time.
+    fn approach(&self, now_s: f64, next: f64, before: f64, wanted: f64, fall_per_s: f64) -> f64 {
         let Some(by_s) = self.stop_by_s else {
             return next;
         };
-        let left = fall_per_s * (by_s - now_s).max(0.0);
-        next.clamp(wanted - left, wanted + left).clamp(before.min(wanted), before.max(wanted))
+        let most = fall_per_s * (by_s - now_s).max(0.0);
+        next.clamp(wanted - most, wanted + most).clamp(before.min(wanted), before.max(wanted))
     }
 
     /// Lowest and highest back-EMF that is possible. Without a fresh speed it has moved towards the voltages since, by up to
@@ -243,7 +239,7 @@ impl Shaper {
         let mut target_v = wanted_v;
         let is_silent = now_s - self.replied_s > self.fresh_s;
         if self.stop_by_s.is_some() && self.winding_v.is_some() && is_silent {
-            // The commands since may not have arrived: the whole way down would come to the drive as one step.
+            // The commands since may not have arrived: the rest of the ramp would reach the drive as one step.
             target_v = self.output_v;
             causes.winding = true;
         }
@@ -251,22 +247,22 @@ impl Shaper {
             let (low_v, high_v) = self.back_emf_range_v(now_s, back_emf_v);
             let (least_v, most_v) = (high_v - winding_v, low_v + winding_v);
             // Within the voltage limit, as the back-EMF and the target.
-            let inside = if least_v <= most_v {
+            let bounded_v = if least_v <= most_v {
                 target_v.clamp(least_v, most_v)
             } else {
                 0.5 * (low_v + high_v)
             };
-            causes.winding = (inside - target_v).abs() > 0.0;
-            target_v = inside;
+            causes.winding = (bounded_v - target_v).abs() > 0.0;
+            target_v = bounded_v;
         }
         if let Some(braking) = self.braking.filter(|_| bound) {
-            let inside = braking.voltage(self.speed_rad_s, target_v).clamp(-limit_v, limit_v);
-            causes.supply = (inside - target_v).abs() > 1e-9 * limit_v;
-            target_v = inside;
+            let bounded_v = braking.voltage(self.speed_rad_s, target_v).clamp(-limit_v, limit_v);
+            causes.supply = (bounded_v - target_v).abs() > 1e-9 * limit_v;
+            target_v = bounded_v;
         }
         let step_v = self.slew_v_per_s * (now_s - self.last_s).clamp(0.0, LONGEST_SLEW_TIME_S);
         let next_v = target_v.clamp(self.output_v - step_v, self.output_v + step_v);
-        let next_v = self.towards(now_s, next_v, self.output_v, wanted_v, self.slew_v_per_s);
+        let next_v = self.approach(now_s, next_v, self.output_v, wanted_v, self.slew_v_per_s);
         // Rounding of a designed ramp at exactly the limit is not a limitation.
         causes.slew = (next_v - target_v).abs() > 1e-9 * limit_v;
         self.output_v = next_v;
@@ -285,7 +281,7 @@ impl Shaper {
             if next * before.signum() < least {
                 next = least.copysign(before);
             }
-            next = self.towards(now_s, next, before, wanted, fall);
+            next = self.approach(now_s, next, before, wanted, fall);
         }
         causes.supply = (next - wanted).abs() > 1e-9 * limit;
         self.demand_rad_s = next;
@@ -393,14 +389,14 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_back_is_what_the_resistor_burns() {
+    fn braking_returns_the_power_of_the_resistor() {
         let braking = braking(60.0);
         let (speed, emf) = (200.0, 0.3538 * 200.0);
         let volts = braking.voltage(speed, 0.0);
         let amps = (volts - emf) / 1.1;
         assert!((volts * amps + 60.0).abs() < 1e-6, "{volts} V {amps} A");
         assert!((braking.current(speed, -10.0) - amps).abs() < 1e-9);
-        // Slow enough that the winding burns all of it: e^2 < 4 R P.
+        // At low speed the winding dissipates all of it: e^2 < 4 R P.
         assert!((braking.voltage(20.0, 0.0)).abs() < 1e-12);
         assert_eq!(braking.deceleration(20.0), None);
         let fall = braking.deceleration(speed).unwrap();

@@ -33,7 +33,7 @@ impl Guard {
         self.shape(now_s, Demand::Voltage(wanted_v)).demand.voltage_v().unwrap()
     }
 
-    /// One cycle with a wanted voltage and its reply; the voltage that left, V.
+    /// One cycle with a demanded voltage and its reply; the voltage that was sent, V.
     fn cycle(&mut self, now_s: f64, wanted_v: f64, reply: &Sample) -> f64 {
         self.tick(now_s);
         let volts = self.volts(now_s, wanted_v);
@@ -57,7 +57,7 @@ fn sample(time_s: f64) -> Sample {
     sample
 }
 
-/// Runs the guard for some healthy cycles at 5 V, then hands over to the test.
+/// A guard after some healthy cycles at 5 V.
 fn running() -> (Guard, f64) {
     let mut guard = guard();
     let mut now_s = 0.0;
@@ -130,16 +130,16 @@ fn every_fault_ends_the_run_in_time_with_its_reason() {
 
 #[test]
 fn a_jump_of_the_drives_clock_is_a_restart() {
-    // Where its counter begins anew depends on how long it was on before: behind, or ahead.
+    // After a restart its counter is behind or ahead, by the time that it was on before.
     for jump_s in [-1.0, -0.13, 0.2, 1294.97, -2147.0, 2147.0] {
         let jumped = trip_within(9, |sample| sample.time_s += jump_s);
         let (cycle, trip) = jumped.unwrap_or_else(|| panic!("{jump_s} s is no restart"));
         assert_eq!((cycle, trip.kind), (1, TripKind::Restarted), "{jump_s}");
         has(&trip.reason, "switched off and on again");
     }
-    // As far as a held up reply may move it.
+    // The largest jump by a delayed reply.
     assert_eq!(trip_within(9, |sample| sample.time_s += 0.09), None);
-    // Both clocks went on over replies that were lost.
+    // Both clocks continue while replies are lost.
     let (mut guard, now_s) = running();
     let later_s = now_s + 0.095;
     guard.tick(later_s);
@@ -338,7 +338,7 @@ fn any_cycle() -> impl Strategy<Value = (f64, Demand, f64, f64, bool)> {
 }
 
 proptest! {
-    /// Whatever comes in: after a trip every command is zero output, and no command is ever beyond a limit.
+    /// For every input: after a trip every command is zero output, and no command is ever beyond a limit.
     #[test]
     fn no_command_is_beyond_a_limit_and_none_energises_after_a_trip(
         cycles in prop::collection::vec(any_cycle(), 1..200),
@@ -447,7 +447,7 @@ fn a_heavy_load_is_braked_within_the_limit() {
     guard.begin(0.0, &sample(0.0));
     let (mut now_s, mut speed) = (0.0, 150.0);
     let mut most_a: f64 = 0.0;
-    // Running at 150 rad/s with what friction takes.
+    // Running at 150 rad/s with the current of the friction.
     for _ in 0..50 {
         now_s += PERIOD_S;
         guard.tick(now_s);
@@ -524,7 +524,7 @@ fn a_lost_field_is_a_trip_of_its_own() {
         (Some(0.1), DriveState::Running, lost),
         (Some(0.1), DriveState::Fault, lost),
         (None, DriveState::Fault, lost),
-        // A slow reading that is to come.
+        // A slow reading that is still to be updated.
         (None, DriveState::Running, None),
     ] {
         let mut sample = sample(0.01);

@@ -36,47 +36,48 @@ pub(super) fn apply(section: &mut LimitsSection, reasons: &[Reasoned]) {
 
 fn current(request: &InitRequest<'_>) -> Reasoned {
     let rated = request.motor.rated_current_a;
-    // The drive of such a motor gives that for seconds.
-    let plate = bound(Some(2.0 * rated), |_| format!("2.0 x rated current {rated} A (nameplate)"));
-    let own = own_limit(request.readback.current_limit_a, "A");
-    let profiled =
+    // A drive for this motor gives twice the rated current for seconds.
+    let nameplate =
+        bound(Some(2.0 * rated), |_| format!("2.0 x rated current {rated} A (nameplate)"));
+    let own = drive_limit(request.readback.current_limit_a, "A");
+    let of_profile =
         bound(request.profile.limits.current_a, |value| format!("the profile's limit {value} A"));
     let unread = own.is_none().then(|| unread(request, "its own current limit"));
-    least("limits.current_a", [plate, own, profiled], unread)
+    smallest("limits.current_a", [nameplate, own, of_profile], unread)
 }
 
 fn speed(request: &InitRequest<'_>) -> Reasoned {
     let rated = request.motor.rated_speed_rad_s;
-    let plate = bound(Some(OVER_SPEED_IN_RATED * rated), |_| {
+    let nameplate = bound(Some(OVER_SPEED_IN_RATED * rated), |_| {
         format!("{OVER_SPEED_IN_RATED} x rated speed {rated} rad/s (nameplate)")
     });
-    let profiled = bound(request.profile.limits.speed_rad_s, |value| {
+    let of_profile = bound(request.profile.limits.speed_rad_s, |value| {
         format!("the profile's limit {value:.1} rad/s")
     });
-    let taken = bound(most(request, Quantity::Speed), |value| {
+    let of_set_point = bound(largest_set_point(request, Quantity::Speed), |value| {
         format!("the most that the drive's reference takes, {value:.1} rad/s (profile)")
     });
-    least("limits.speed_rad_s", [plate, profiled, taken], None)
+    smallest("limits.speed_rad_s", [nameplate, of_profile, of_set_point], None)
 }
 
 fn voltage(request: &InitRequest<'_>) -> Reasoned {
-    let plate = bound(Some(request.motor.rated_voltage_v), |rated| {
+    let nameplate = bound(Some(request.motor.rated_voltage_v), |rated| {
         format!("rated voltage {rated} V (nameplate)")
     });
-    let own = own_limit(request.readback.voltage_limit_v, "V");
+    let own = drive_limit(request.readback.voltage_limit_v, "V");
     let bus = bound(request.readback.bus_v, |value| {
         format!("the intermediate circuit's {value:.1} V (read back)")
     });
-    let profiled =
+    let of_profile =
         bound(request.profile.limits.voltage_v, |value| format!("the profile's limit {value} V"));
-    let taken = bound(most(request, Quantity::Voltage), |value| {
+    let of_set_point = bound(largest_set_point(request, Quantity::Voltage), |value| {
         format!("the most that the drive's set-point takes, {value} V (profile)")
     });
     let unread = own.is_none().then(|| unread(request, "its own voltage limit"));
-    least("limits.voltage_v", [plate, own, bus, profiled, taken], unread)
+    smallest("limits.voltage_v", [nameplate, own, bus, of_profile, of_set_point], unread)
 }
 
-fn own_limit(value: Option<f64>, unit: &str) -> Bound {
+fn drive_limit(value: Option<f64>, unit: &str) -> Bound {
     bound(value, |value| format!("the drive's own limit {value} {unit} (read back)"))
 }
 
@@ -92,9 +93,9 @@ fn bus(request: &InitRequest<'_>) -> [Reasoned; 2] {
         return KEYS.map(|key| Reasoned::new(key, None, reason.as_str()));
     };
     let read = format!("x {bus_v:.1} V of the intermediate circuit at rest (read back)");
-    let low = format!("0.8 {read}: below it the supply gives way");
+    let low = format!("0.8 {read}: below it the supply is overloaded");
     let high = format!(
-        "1.25 {read}: above it braking energy has nowhere to go; lower it to what the drive stands"
+        "1.25 {read}: above it braking energy is not absorbed; lower it to what the drive withstands"
     );
     [
         Reasoned::new(KEYS[0], Some(short(0.8 * bus_v)), low),
@@ -155,11 +156,11 @@ fn unread(request: &InitRequest<'_>, what: &str) -> String {
 }
 
 /// The largest set-point, SI.
-fn most(request: &InitRequest<'_>, quantity: Quantity) -> Option<f64> {
+fn largest_set_point(request: &InitRequest<'_>, quantity: Quantity) -> Option<f64> {
     set_point(request, quantity).map(|(_, high)| high)
 }
 
-fn least<const N: usize>(key: &str, bounds: [Bound; N], unread: Option<String>) -> Reasoned {
+fn smallest<const N: usize>(key: &str, bounds: [Bound; N], unread: Option<String>) -> Reasoned {
     let bounds: Vec<(f64, String)> = bounds.into_iter().flatten().collect();
     let value = bounds.iter().map(|(value, _)| *value).fold(f64::INFINITY, f64::min);
     let names: Vec<&str> = bounds.iter().map(|(_, what)| what.as_str()).collect();
@@ -206,7 +207,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
         (None, Some(map)) => (map.rates.fast_hz, "the profile's rates.fast_hz".to_owned()),
         (None, None) => (
             100.0,
-            "a network has no arithmetic: `drivebench run` measures the round trip before it begins"
+            "the rate of a network cannot be computed: `drivebench run` measures the round trip before it begins"
                 .to_owned(),
         ),
     };
@@ -222,7 +223,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
         hz = 500.0;
         why += "; no more than a host without a real-time kernel keeps";
     }
-    let rate_hz = nice(hz);
+    let rate_hz = rounded_down(hz);
     let mut remarks: Vec<String> = reply.into_iter().collect();
     if rate_hz < 50.0 && request.motor.is_unknown() {
         remarks.push(format!(
@@ -233,7 +234,7 @@ pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
 }
 
 /// A round number at or below.
-fn nice(rate_hz: f64) -> f64 {
+fn rounded_down(rate_hz: f64) -> f64 {
     let step = match rate_hz {
         100.0.. => 10.0,
         20.0.. => 5.0,
@@ -249,7 +250,7 @@ mod tests {
 
     #[test]
     fn rates_are_round_and_never_above() {
-        let rates = [483.0, 79.4, 19.9, 3.9, 0.4].map(|hz| nice(hz).to_string());
+        let rates = [483.0, 79.4, 19.9, 3.9, 0.4].map(|hz| rounded_down(hz).to_string());
         assert_eq!(rates, ["480", "75", "19", "3.5", "1"]);
     }
 }

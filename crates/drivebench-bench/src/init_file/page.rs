@@ -27,11 +27,11 @@ impl Page {
         let _ = writeln!(self.0, "{text}");
     }
 
-    /// A value with its reason behind it, or above it where the line would be too long.
+    /// A value with its reason after it, or above it where the line would be too long.
     fn value(&mut self, key: &str, value: &str, reason: &str) {
-        let behind = format!("{key} = {value}  # {reason}");
-        if behind.len() <= WIDTH {
-            self.line(&behind);
+        let one_line = format!("{key} = {value}  # {reason}");
+        if one_line.len() <= WIDTH {
+            self.line(&one_line);
         } else {
             self.comment(reason);
             self.line(&format!("{key} = {value}"));
@@ -54,7 +54,7 @@ pub(super) fn text(
 ) -> String {
     let mut page = Page::default();
     page.comment(&format!(
-        "Bench of {} on {}, made by `drivebench init` from the drive profile {:?} and the nameplate {}. Every value stands with its reason; bench-configs/benches/zk-22fc-emulated.toml explains every key.",
+        "Bench of {} on {}, made by `drivebench init` from the drive profile {:?} and the nameplate {}. Every value has its reason; bench-configs/benches/zk-22fc-emulated.toml explains every key.",
         bench.motor.name, request.profile.name, request.drive, request.motor_file
     ));
     for remark in remarks {
@@ -129,7 +129,7 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
     };
     page.value("port", &format!("{:?}", bench.link.port), reason);
     let protocol = format!("\"{}\"", bench.link.protocol);
-    let why = "what the profile speaks over such a port";
+    let why = "the profile's protocol for this kind of port";
     page.value("protocol", &protocol, why);
     let why = "bit/s; the profile's, unless --baud was given";
     page.value("baud", &bench.baud().to_string(), why);
@@ -171,7 +171,9 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     ] {
         match given.iter().find(|(known, _)| *known == key) {
             Some((_, value)) => page.value(key, &number(*value), meaning),
-            None => page.left_out(key, "not on the plate: `run` finds it from small steps first"),
+            None => {
+                page.left_out(key, "not on the nameplate: `run` finds it from small steps first")
+            }
         }
     }
 }
@@ -184,7 +186,7 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
     page.comment("What `drivebench speed` does, under the same limits.");
     page.line("[speed]");
     let why = if speed.controller.id() == "pi" {
-        "fixed gains: behind the drive's own loop nothing shows what others would adapt to"
+        "fixed gains: the parameters that others adapt to are not observable through the drive's own loop"
     } else {
         "gains follow the inertia that is identified on line"
     };
@@ -193,7 +195,7 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
         page.value(
             "drive_lag_s",
             &number(lag_s),
-            "s in which the drive's own loop follows its reference. Not measured: a cautious guess, put in what you measure",
+            "s in which the drive's own loop follows its reference. Not measured: a cautious guess, replace it by your measurement",
         );
     }
     let reason = reason_of(reasons, "speed.reference");
@@ -229,11 +231,11 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
         page.comment(match segment {
             Segment::Standstill(_) => "Noise floor and sensor offsets.",
             Segment::Steps(_) => {
-                "Resistance, back-EMF and inertia; both signs part friction from an offset."
+                "Resistance, back-EMF and inertia; both signs separate friction from an offset."
             }
             Segment::Ramp(_) => "Slowly through zero: friction near standstill.",
             Segment::Prbs(_) => "Many levels: dynamics over a wide band.",
-            Segment::Sine(_) => "Slowly through zero again, two ways.",
+            Segment::Sine(_) => "Slowly through zero again, in both directions.",
             Segment::Chirp(_) => "Every frequency once: resonances.",
             Segment::Staircase(_) => "Level by level.",
             Segment::CoastDown(_) => "Output off.",
@@ -250,7 +252,7 @@ fn inline<T: serde::Serialize>(part: &T) -> String {
     entries.map(|(key, value)| format!("{key} = {value}")).collect::<Vec<_>>().join("\n")
 }
 
-/// A number as TOML wants a float.
+/// A number as a TOML float.
 fn number(value: f64) -> String {
     format!("{value:?}")
 }

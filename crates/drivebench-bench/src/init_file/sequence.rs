@@ -1,4 +1,4 @@
-//! The sequence of a new bench file: the rich excitation, as large as the limits let it be, and a reference for `speed`.
+//! The sequence of a new bench file: the rich excitation, as large as the limits allow, and a reference for `speed`.
 
 use super::limits::set_point;
 use super::{InitError, InitRequest, InitUse, Reasoned, short};
@@ -28,15 +28,15 @@ pub(super) fn fit(
     purpose: InitUse,
 ) -> Result<Fitted, InitError> {
     let mut fitted = Fitted { reasons: Vec::new(), remarks: Vec::new(), plan: None };
-    let plate = bench.nameplate();
+    let nameplate = bench.nameplate();
     match purpose {
         InitUse::SpeedLoop => {
             bench.sequence = vec![Segment::Standstill(Standstill { seconds: 1.0 })];
         }
-        InitUse::Voltages => voltages(bench, request, plate.as_ref(), &mut fitted)?,
+        InitUse::Voltages => voltages(bench, request, nameplate.as_ref(), &mut fitted)?,
     }
-    if let Some(plate) = &plate {
-        let speed = speed_section(bench, request, plate, purpose);
+    if let Some(nameplate) = &nameplate {
+        let speed = speed_section(bench, request, nameplate, purpose);
         let hold_s = match speed.reference.first() {
             Some(ReferencePart::Steps { hold_s, .. }) => *hold_s,
             _ => 2.0,
@@ -74,31 +74,31 @@ fn length_s(part: &ReferencePart) -> f64 {
 fn voltages(
     bench: &mut BenchFile,
     request: &InitRequest<'_>,
-    plate: Option<&Nameplate>,
+    nameplate: Option<&Nameplate>,
     fitted: &mut Fitted,
 ) -> Result<(), InitError> {
     let limits = bench.limits();
     let voltage_v = 0.85 * limits.voltage_v;
     let period_s = bench.period_s();
     let one_way = set_point(request, Quantity::Voltage).is_some_and(|(low, _)| low >= 0.0);
-    let Some(plate) = plate else {
+    let Some(nameplate) = nameplate else {
         bench.sequence = paced(sequence(voltage_v, limits.slew_v_per_s, one_way), period_s);
         fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", None, "follows from the motor when it has been found; until then each stage has its own, smaller one"));
         return Ok(());
     };
-    let load_a = plate.load_torque_n_m / plate.back_emf_v_s_per_rad;
+    let load_a = nameplate.load_torque_n_m / nameplate.back_emf_v_s_per_rad;
     // Acceleration and load together draw 70 % of the limit: a motor 15 % off its nameplate stays below.
-    let spare_a = (0.7 * limits.current_a - load_a).max(0.2 * limits.current_a);
-    let back_emf = plate.back_emf_v_s_per_rad;
-    let slew_v_per_s = short(spare_a * back_emf * back_emf / plate.inertia_kg_m2);
+    let accelerating_a = (0.7 * limits.current_a - load_a).max(0.2 * limits.current_a);
+    let back_emf = nameplate.back_emf_v_s_per_rad;
+    let slew_v_per_s = short(accelerating_a * back_emf * back_emf / nameplate.inertia_kg_m2);
     bench.sequence = paced(sequence(voltage_v, slew_v_per_s, one_way), period_s);
     bench.limits.slew_v_per_s = Some(slew_v_per_s);
     // While the sequence is fitted its length does not matter.
     bench.limits.time_s = Some(3600.0);
     let own_limit_a = request.readback.current_limit_a;
-    let broken = |text: String| InitError::new(text, "correct the nameplate");
-    let scaled = scale(bench, plate, own_limit_a)
-        .map_err(|error| broken(error.to_string()))?
+    let refused = |text: String| InitError::new(text, "correct the nameplate");
+    let scaled = scale(bench, nameplate, own_limit_a)
+        .map_err(|error| refused(error.to_string()))?
         .map_err(|refusal| {
             InitError::new(
                 format!("even the smallest sequence is too much for this motor: {refusal}"),
@@ -108,12 +108,12 @@ fn voltages(
     bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
     let program = bench.program(bench.runs.fit)?;
-    let planned = plan(&program, plate, &bench.limits(), bench.link.rate_hz, own_limit_a)
-        .map_err(|error| broken(error.to_string()))?;
+    let planned = plan(&program, nameplate, &bench.limits(), bench.link.rate_hz, own_limit_a)
+        .map_err(|error| refused(error.to_string()))?;
     fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
             "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
-            load_a + spare_a,
-            100.0 * (load_a + spare_a) / limits.current_a
+            load_a + accelerating_a,
+            100.0 * (load_a + accelerating_a) / limits.current_a
         )));
     if scaled.factor < 1.0 {
         let why = scaled.refusal.map(|refusal| refusal.to_string());
@@ -132,7 +132,7 @@ fn voltages(
 /// voltage that would then count as an effect of the motor.
 fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
     let mut sequence = if one_way {
-        from_zero_up(voltage_v, slew_v_per_s)
+        without_negative_voltages(voltage_v, slew_v_per_s)
     } else {
         excitation::rich(voltage_v, slew_v_per_s, 1)
     };
@@ -142,7 +142,7 @@ fn sequence(voltage_v: f64, slew_v_per_s: f64, one_way: bool) -> Vec<Segment> {
     sequence
 }
 
-fn from_zero_up(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
+fn without_negative_voltages(voltage_v: f64, slew_v_per_s: f64) -> Vec<Segment> {
     let levels_v = [0.9, 0.3, 0.6, 0.15, 0.45].map(|share| share * voltage_v);
     let hold_s = (voltage_v / slew_v_per_s + 0.15).max(0.5);
     vec![
@@ -194,7 +194,7 @@ fn paced(sequence: Vec<Segment>, period_s: f64) -> Vec<Segment> {
     sequence.into_iter().map(pace).collect()
 }
 
-/// Three digits are enough of a voltage, towards zero; times to the next millisecond.
+/// Voltages to 0.01 V towards zero, times up to the next millisecond.
 fn rounded(mut segment: Segment) -> Segment {
     let Cells { volts, times_s, .. } = cells(&mut segment);
     for volts in volts {
@@ -211,22 +211,26 @@ fn rounded(mut segment: Segment) -> Segment {
 fn speed_section(
     bench: &BenchFile,
     request: &InitRequest<'_>,
-    plate: &Nameplate,
+    nameplate: &Nameplate,
     purpose: InitUse,
 ) -> SpeedSection {
     let limits = bench.limits();
-    let mut top = plate.rated_speed_rad_s.min(0.8 * limits.speed_rad_s);
+    let mut top_rad_s = nameplate.rated_speed_rad_s.min(0.8 * limits.speed_rad_s);
     if purpose == InitUse::Voltages {
-        top = top.min(0.7 * limits.voltage_v / plate.back_emf_v_s_per_rad);
+        top_rad_s = top_rad_s.min(0.7 * limits.voltage_v / nameplate.back_emf_v_s_per_rad);
     }
-    let takes = &request.profile.capabilities;
-    let is_outer = !takes.voltage_command && !takes.current_command;
+    let capabilities = &request.profile.capabilities;
+    let is_outer = !capabilities.voltage_command && !capabilities.current_command;
     SpeedSection {
-        controller: if takes.voltage_command { ControllerKind::Addc } else { ControllerKind::Pi },
+        controller: if capabilities.voltage_command {
+            ControllerKind::Addc
+        } else {
+            ControllerKind::Pi
+        },
         // Not measured yet.
         drive_lag_s: is_outer.then_some(0.1),
         reference: vec![ReferencePart::Steps {
-            levels_rad_s: LEVELS.map(|share| short(share * top)).to_vec(),
+            levels_rad_s: LEVELS.map(|share| short(share * top_rad_s)).to_vec(),
             hold_s: (2.0 * LEVEL_PERIODS * bench.period_s()).max(2.0),
         }],
         ..SpeedSection::default()

@@ -2,7 +2,7 @@ use super::*;
 use crate::testing::{has, near, within};
 use drivebench_model::excitation::Output;
 
-fn plate() -> MotorSection {
+fn nameplate() -> MotorSection {
     BenchFile::embedded_default().motor
 }
 
@@ -38,13 +38,12 @@ fn made(profile: &str, motor: &MotorSection, readback: Readback) -> Result<InitF
 }
 
 fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
-    let mut reasons = file.reasons.iter();
-    reasons.find(|reason| reason.key == key).unwrap()
+    file.reasons.iter().find(|reason| reason.key == key).unwrap()
 }
 
 #[test]
-fn every_limit_stands_with_its_value_and_its_reason() {
-    let file = made("own", &plate(), readback()).unwrap();
+fn every_limit_has_its_value_and_its_reason() {
+    let file = made("own", &nameplate(), readback()).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(9.0));
     assert_eq!(
@@ -81,7 +80,7 @@ fn every_limit_stands_with_its_value_and_its_reason() {
 
 #[test]
 fn a_drive_that_starts_late_does_so_before_the_first_step() {
-    let made = made("own", &plate(), readback()).unwrap().bench;
+    let made = made("own", &nameplate(), readback()).unwrap().bench;
     let embedded = BenchFile::embedded_default();
     for (bench, times_s) in [(made, [0.55, 0.75, 0.95]), (embedded, [0.3, 0.4, 0.49])] {
         let program = bench.program(1).unwrap();
@@ -97,20 +96,20 @@ fn a_drive_that_starts_late_does_so_before_the_first_step() {
 #[test]
 fn a_value_that_was_not_read_back_is_stated() {
     let offline = Readback { is_offline: true, ..Readback::default() };
-    let file = made("own", &plate(), offline).unwrap();
+    let file = made("own", &nameplate(), offline).unwrap();
     let current = reason(&file, "limits.current_a");
     assert_eq!(current.value, Some(11.4));
     assert!(current.reason.ends_with("its own current limit was not read back (--offline)"));
     assert!(file.bench.limits().bus_max_v.is_none());
     has(&file.text, "none of its own limits is known here");
     has(&file.text, "# bus_min_v: none. ");
-    let file = made("own", &plate(), Readback { current_limit_a: None, ..readback() }).unwrap();
+    let file = made("own", &nameplate(), Readback { current_limit_a: None, ..readback() }).unwrap();
     has(&reason(&file, "limits.current_a").reason, "does not report its own current limit");
 }
 
 #[test]
-fn an_unknown_motor_is_left_to_be_found() {
-    let motor = MotorSection { resistance_ohm: None, ..plate() };
+fn an_unknown_motor_is_left_to_the_escalation() {
+    let motor = MotorSection { resistance_ohm: None, ..nameplate() };
     let file = made("own", &motor, readback()).unwrap();
     assert!(file.bench.motor.is_unknown() && file.plan.is_none());
     assert!(file.bench.speed.is_none() && file.bench.limits.slew_v_per_s.is_none());
@@ -121,7 +120,7 @@ fn an_unknown_motor_is_left_to_be_found() {
 
 #[test]
 fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
-    let file = made("epulse50-dc", &plate(), readback()).unwrap();
+    let file = made("epulse50-dc", &nameplate(), readback()).unwrap();
     assert_eq!(file.purpose, InitUse::SpeedLoop);
     has(&file.remarks[0], "takes no voltage command");
     let speed = file.bench.speed.as_ref().unwrap();
@@ -130,21 +129,21 @@ fn a_drive_without_voltage_gets_a_speed_loop_or_a_reason() {
     let speed = "drivebench speed b.toml --hardware --headless";
     assert_eq!(file.next("b.toml"), [speed]);
     let unknown = Readback { watchdog_s: None, ..readback() };
-    has(made("epulse50-dc", &plate(), unknown).unwrap().remarks.join("\n"), "--waive-watchdog");
+    has(made("epulse50-dc", &nameplate(), unknown).unwrap().remarks.join("\n"), "--waive-watchdog");
     // Its reference takes 3000 rpm.
     has(&reason(&file, "limits.speed_rad_s").reason, "314.2 rad/s (profile)");
 }
 
 #[test]
 fn a_request_that_no_drive_or_motor_fits_is_refused() {
-    let without_resistance = MotorSection { resistance_ohm: None, ..plate() };
-    let negative = MotorSection { rated_current_a: -1.0, ..plate() };
+    let without_resistance = MotorSection { resistance_ohm: None, ..nameplate() };
+    let negative = MotorSection { rated_current_a: -1.0, ..nameplate() };
     for (profile, motor, words) in [
         ("own", negative, "motor.toml: rated_current_a = -1 is not allowed"),
         // A drive without a voltage command cannot find the motor from small steps.
         ("epulse50-dc", without_resistance, "resistance_ohm is left out"),
-        ("siemens-v20", plate(), "takes no armature voltage"),
-        ("siemens-v20", plate(), "no speed loop"),
+        ("siemens-v20", nameplate(), "takes no armature voltage"),
+        ("siemens-v20", nameplate(), "no speed loop"),
     ] {
         has(made(profile, &motor, readback()).unwrap_err(), words);
     }
@@ -155,13 +154,15 @@ fn every_line_gets_a_rate_that_it_carries() {
     for (profile, least, most) in
         [("own", 60.0, 100.0), ("own-stream", 200.0, 500.0), ("epulse50-dc", 10.0, 29.0)]
     {
-        let file = made(profile, &plate(), readback()).unwrap();
-        let rate_hz = file.bench.link.rate_hz;
+        let rate_hz = made(profile, &nameplate(), readback()).unwrap().bench.link.rate_hz;
         assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
     }
     let mut slow = DriveProfile::named("own").unwrap();
     slow.link.baud = 9600;
-    within(init_file(&request(&slow, &plate(), readback())).unwrap().bench.link.rate_hz, ..20.0);
+    within(
+        init_file(&request(&slow, &nameplate(), readback())).unwrap().bench.link.rate_hz,
+        ..20.0,
+    );
 }
 
 #[test]
@@ -207,7 +208,7 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
     map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
     let silent = Readback { watchdog_s: Some(0.0), ..readback() };
-    let motor = plate();
+    let motor = nameplate();
     let file = init_file(&request(&profile, &motor, silent)).unwrap();
     let silence = reason(&file, "limits.link_silence_s");
     assert_eq!(silence.value, Some(0.72));
@@ -216,7 +217,7 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
 
 #[test]
 fn a_nameplate_in_rpm_is_remarked_first() {
-    let motor = MotorSection { rated_speed_rad_s: 2800.0, ..plate() };
+    let motor = MotorSection { rated_speed_rad_s: 2800.0, ..nameplate() };
     let file = made("own", &motor, readback()).unwrap();
     has(&file.remarks[0], "given in r/min");
     has(&file.text, "contradicts itself");

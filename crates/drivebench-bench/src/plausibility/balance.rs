@@ -17,7 +17,7 @@ use super::settings::SETTINGS;
 
 /// The nameplate, as the balances need it.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Plate {
+pub(super) struct Parameters {
     pub(super) resistance: f64,
     pub(super) inductance: f64,
     pub(super) back_emf: f64,
@@ -25,18 +25,14 @@ pub(super) struct Plate {
     pub(super) friction: f64,
 }
 
-impl Plate {
+impl Parameters {
     /// Voltage of the winding in a row, V.
     pub(super) fn current_v(&self, row: &Row) -> f64 {
         self.resistance * row.current_a + self.inductance * row.current_change_a / row.seconds
     }
 
-    /// Error of the trapezoid between two samples, as a share of the change, for the winding and for the shaft.
-    pub(super) fn quickness(&self, seconds: f64) -> f64 {
-        (seconds * self.resistance / (6.0 * self.inductance)).min(0.5)
-    }
-
-    pub(super) fn slowness(&self, seconds: f64) -> f64 {
+    /// Error of the trapezoidal rule between two samples, as a share of the change, for the shaft.
+    pub(super) fn mechanical_error(&self, seconds: f64) -> f64 {
         let time_s = self.resistance * self.inertia / (self.back_emf * self.back_emf);
         (seconds / (3.0 * time_s)).min(0.5)
     }
@@ -58,9 +54,11 @@ impl Plate {
 
     /// Uncertainty of both terms by the change within the cycle, V.
     fn uncertainty_v(&self, row: &Row) -> (f64, f64) {
+        let winding = (row.seconds * self.resistance / (6.0 * self.inductance)).min(0.5);
+        let shaft = self.mechanical_error(row.seconds);
         (
-            self.quickness(row.seconds) * self.resistance * row.current_change_a.abs(),
-            self.slowness(row.seconds) * self.back_emf * row.speed_change_rad_s.abs(),
+            winding * self.resistance * row.current_change_a.abs(),
+            shaft * self.back_emf * row.speed_change_rad_s.abs(),
         )
     }
 }
@@ -91,9 +89,9 @@ impl Window {
     /// With the terms of another row.
     pub(super) fn and(self, row: Self) -> Self {
         Self {
-            volts: self.volts.hull(row.volts),
-            current: self.current.hull(row.current),
-            speed: self.speed.hull(row.speed),
+            volts: self.volts.union(row.volts),
+            current: self.current.union(row.current),
+            speed: self.speed.union(row.speed),
             mean_volts: self.mean_volts + row.mean_volts,
             mean_current: self.mean_current + row.mean_current,
             mean_speed: self.mean_speed + row.mean_speed,
@@ -112,7 +110,7 @@ pub(super) const fn negative(range: Range) -> Range {
 
 /// Weighted normal equations of `N` factors with a prior.
 #[derive(Clone, Debug)]
-struct Normal<const N: usize> {
+struct NormalEquations<const N: usize> {
     matrix: SMatrix<f64, N, N>,
     right: SVector<f64, N>,
     square: f64,
@@ -120,18 +118,18 @@ struct Normal<const N: usize> {
     prior: [(f64, f64); N],
 }
 
-impl<const N: usize> Normal<N> {
+impl<const N: usize> NormalEquations<N> {
     fn new(prior: [(f64, f64); N]) -> Self {
         Self { matrix: SMatrix::zeros(), right: SVector::zeros(), square: 0.0, rows: 0.0, prior }
     }
 
-    fn add(&mut self, keep: f64, factors: [f64; N], value: f64, noise: f64) {
+    fn add(&mut self, forgetting: f64, factors: [f64; N], value: f64, noise: f64) {
         let row = SVector::from(factors) / noise;
         let value = value / noise;
-        self.matrix = self.matrix * keep + row * row.transpose();
-        self.right = self.right * keep + row * value;
-        self.square = self.square * keep + value * value;
-        self.rows = self.rows * keep + 1.0;
+        self.matrix = self.matrix * forgetting + row * row.transpose();
+        self.right = self.right * forgetting + row * value;
+        self.square = self.square * forgetting + value * value;
+        self.rows = self.rows * forgetting + 1.0;
     }
 
     /// The first factor and its standard deviation.
@@ -154,19 +152,22 @@ impl<const N: usize> Normal<N> {
 /// Both balances over the last rows.
 #[derive(Clone, Debug)]
 pub(super) struct Factor {
-    voltage: Normal<3>,
-    torque: Normal<2>,
+    voltage: NormalEquations<3>,
+    torque: NormalEquations<2>,
 }
 
 impl Factor {
     pub(super) fn new(scale: &Scale) -> Self {
         Self {
-            voltage: Normal::new([
+            voltage: NormalEquations::new([
                 (1.0, SETTINGS.unknown_std),
                 (1.0, SETTINGS.flux_std),
                 (0.0, SETTINGS.drop_std * scale.volts),
             ]),
-            torque: Normal::new([(1.0, SETTINGS.unknown_std), (1.0, SETTINGS.friction_std)]),
+            torque: NormalEquations::new([
+                (1.0, SETTINGS.unknown_std),
+                (1.0, SETTINGS.friction_std),
+            ]),
         }
     }
 
@@ -176,7 +177,7 @@ impl Factor {
         &mut self,
         row: &Row,
         is_signed: bool,
-        plate: &Plate,
+        nameplate: &Parameters,
         scale: &Scale,
     ) -> Option<f64> {
         let volts = row.volts?;
@@ -187,22 +188,23 @@ impl Factor {
         if !(is_signed || is_driven) {
             return None;
         }
-        let keep = (-row.seconds / SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds)).exp();
-        let current_v = sign * plate.current_v(row);
-        let speed_v = plate.back_emf * row.speed_rad_s;
-        let (current_by, speed_by) = plate.uncertainty_v(row);
+        let forgetting =
+            (-row.seconds / SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds)).exp();
+        let current_v = sign * nameplate.current_v(row);
+        let speed_v = nameplate.back_emf * row.speed_rad_s;
+        let (current_by, speed_by) = nameplate.uncertainty_v(row);
         let floor_v = (SETTINGS.voltage_noise * scale.volts).hypot(0.5 * volts.width());
         let noise = floor_v.hypot(current_by + speed_by);
         let factors = [current_v, speed_v, sign * row.current_a.signum()];
-        self.voltage.add(keep, factors, volts.middle(), noise);
+        self.voltage.add(forgetting, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > SETTINGS.rest_speed * scale.rad_s {
-            let acceleration = plate.inertia * row.speed_change_rad_s / row.seconds;
-            let friction = plate.friction * row.speed_rad_s.signum();
-            let floor = SETTINGS.torque_noise * plate.back_emf * scale.amps;
-            let noise = floor.hypot(plate.slowness(row.seconds) * acceleration);
-            let torque = sign * plate.back_emf * row.current_a;
+            let acceleration = nameplate.inertia * row.speed_change_rad_s / row.seconds;
+            let friction = nameplate.friction * row.speed_rad_s.signum();
+            let floor = SETTINGS.torque_noise * nameplate.back_emf * scale.amps;
+            let noise = floor.hypot(nameplate.mechanical_error(row.seconds) * acceleration);
+            let torque = sign * nameplate.back_emf * row.current_a;
             let factors = [acceleration, friction];
-            self.torque.add(keep, factors, torque, noise);
+            self.torque.add(forgetting, factors, torque, noise);
         }
         let (r, r_std) = self.voltage.first()?;
         let (j, j_std) = self.torque.first()?;

@@ -51,7 +51,7 @@ impl Range {
         Self::new(self.low.min(value), self.high.max(value))
     }
 
-    pub(super) const fn hull(self, other: Self) -> Self {
+    pub(super) const fn union(self, other: Self) -> Self {
         self.with(other.low).with(other.high)
     }
 
@@ -128,7 +128,7 @@ impl Row {
 /// The last commands and samples.
 #[derive(Clone, Debug, Default)]
 pub(super) struct History {
-    commands: VecDeque<(u64, Demand)>,
+    pub(super) commands: VecDeque<(u64, Demand)>,
     samples: VecDeque<Observation>,
     rows: VecDeque<Row>,
 }
@@ -143,10 +143,6 @@ impl History {
         push_within(&mut self.commands, (command.seq, command.demand), SETTINGS.commands);
     }
 
-    pub(super) fn has_sent(&self) -> bool {
-        !self.commands.is_empty()
-    }
-
     pub(super) fn last(&self) -> Option<&Observation> {
         self.samples.back()
     }
@@ -155,7 +151,7 @@ impl History {
         &self.rows
     }
 
-    /// Mean distance of samples, s; `None` before there are two.
+    /// Mean sampling period, s; `None` before there are two samples.
     pub(super) fn period_s(&self) -> Option<f64> {
         let rows = self.rows.len();
         let all_s: f64 = self.rows.iter().map(|row| row.seconds).sum();

@@ -11,15 +11,14 @@ use drivebench_model::sample::Demand;
 impl Plausibility {
     /// Two readings that fit only when exchanged.
     pub(crate) fn swapped(&self) -> Option<Trip> {
-        let plate = self.plate.filter(|_| !self.waived)?;
+        let nameplate = self.nameplate.filter(|_| !self.waived)?;
         let last = self.history.last()?;
         let (current, speed) = (last.current_a?, last.speed_rad_s?);
         if let (Some((Demand::Voltage(_), set_point)), Some(volts)) =
             (self.history.set_points(self.cycles()), last.voltage_v)
             && !last.limited
         {
-            let about = set_point.times(Range::new(0.9, 1.1));
-            let about = about.wider(0.02 * self.scale.volts);
+            let about = set_point.times(Range::new(0.9, 1.1)).wider(0.02 * self.scale.volts);
             let near = |value: f64| about.gap(Range::at(value)) <= 0.0;
             let far = set_point.middle().abs() > 0.05 * self.scale.volts;
             if near(current) && !near(volts) && far {
@@ -27,7 +26,7 @@ impl Plausibility {
                     "the current reads {current:.2} A and the voltage {volts:.2} V, at a set-point of {:.2} V: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
                     set_point.middle()
                 );
-                return Some(self.doubt(
+                return Some(self.trip(
                     TripKind::SignalsSwapped,
                     (volts, set_point.middle()),
                     &what,
@@ -42,7 +41,7 @@ impl Plausibility {
         let both_ways = |row: &Row| {
             let volts = row.volts?;
             let misfit = |current_a: f64, speed_rad_s: f64| {
-                let needed = plate.resistance * current_a + plate.back_emf * speed_rad_s;
+                let needed = nameplate.resistance * current_a + nameplate.back_emf * speed_rad_s;
                 volts.gap(Range::at(needed))
             };
             let (a, b) = row.ends();
@@ -59,7 +58,7 @@ impl Plausibility {
             "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
         );
         (as_read > floor && all)
-            .then(|| self.doubt(TripKind::SignalsSwapped, (current, speed), &what))
+            .then(|| self.trip(TripKind::SignalsSwapped, (current, speed), &what))
     }
 
     /// A trip beyond a limit, with the contradiction to the reading that exceeds it.
@@ -67,12 +66,12 @@ impl Plausibility {
         if let Some(trip) = self.swapped() {
             return trip;
         }
-        let doubt = self.plate.and_then(|plate| {
-            let window = self.window(&plate, 1)?;
-            self.misfits(&window).then(|| self.isolate(&plate, &window))?
+        let contradiction = self.nameplate.and_then(|nameplate| {
+            let window = self.window(&nameplate, 1)?;
+            self.misfits(&window).then(|| self.isolate(&nameplate, &window))?
         });
-        if let Some(doubt) = doubt {
-            beyond.reason = format!("{}; or {}", beyond.reason, doubt.reason);
+        if let Some(contradiction) = contradiction {
+            beyond.reason = format!("{}; or {}", beyond.reason, contradiction.reason);
         }
         beyond
     }
@@ -83,7 +82,7 @@ impl Plausibility {
         let last = *self.history.last()?;
         let set_point = self.history.set_points(cycles - 2);
         let Some((demand, set_point)) = set_point else {
-            self.doubts.departure = None;
+            self.symptoms.departure = None;
             return None;
         };
         let period_s = self.history.period_s()?;
@@ -103,19 +102,19 @@ impl Plausibility {
                 let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
                 if last.limited || current.abs() > self.bounds.limiting_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
-                    let emf_v = self.plate.map(|plate| plate.back_emf * speed);
+                    let emf_v = self.nameplate.map(|nameplate| nameplate.back_emf * speed);
                     let emf = emf_v.map(|emf_v| Range::at(emf_v).times(SETTINGS.any_factor));
-                    region = emf.map_or(Range::EVERY, |emf| region.hull(emf.wider(self.drop_v())));
+                    region = emf.map_or(Range::EVERY, |emf| region.union(emf.wider(self.drop_v())));
                 }
                 (last.voltage_v, self.scale.volts, confirm_s, "V")
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
                 region = region.wider(SETTINGS.follows * amps);
-                let emf_v = self.plate.map_or(0.0, |plate| plate.back_emf * speed);
+                let emf_v = self.nameplate.map_or(0.0, |nameplate| nameplate.back_emf * speed);
                 let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
                 if !self.proven.current_sign {
-                    region = region.hull(negative(region));
+                    region = region.union(negative(region));
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
                 let confirm_s = SETTINGS.current_follows_s.max(latency_s);
@@ -144,11 +143,11 @@ impl Plausibility {
         }
         let distance = measured.map_or(0.0, |value| region.gap(Range::at(value)));
         let Some(value) = measured.filter(|_| distance > 0.0) else {
-            self.doubts.departure = None;
+            self.symptoms.departure = None;
             return None;
         };
         let departure = Departure { since_s: last.time_s, distance };
-        let first = self.doubts.departure.get_or_insert(departure);
+        let first = self.symptoms.departure.get_or_insert(departure);
         if distance < first.distance - 0.01 * full {
             // It approaches.
             *first = departure;
@@ -170,13 +169,13 @@ impl Plausibility {
         if set_point.wider(self.drop_v()).gap(read) <= 0.0 {
             // The nearest of the set-points that may be in force; while the voltage stays, also of the earlier ones.
             let nearest = value.clamp(set_point.low, set_point.high);
-            let agrees = self.doubts.agreement.is_none_or(|last| {
+            let agrees = self.symptoms.agreement.is_none_or(|last| {
                 let moves =
                     (value - last.measured_v).abs() > SETTINGS.rest_voltage * self.scale.volts;
                 moves || (nearest - value).abs() <= (last.set_point_v - last.measured_v).abs()
             });
             if agrees {
-                self.doubts.agreement = Some(Agreement {
+                self.symptoms.agreement = Some(Agreement {
                     set_point_v: nearest,
                     measured_v: value,
                     stuck_since_s: None,
@@ -189,7 +188,7 @@ impl Plausibility {
         }
         let beyond = |current: f64| current.abs() > self.bounds.limiting_a;
         let is_limited = last.limited || last.current_a.is_some_and(beyond);
-        let agreement = self.doubts.agreement.as_mut()?;
+        let agreement = self.symptoms.agreement.as_mut()?;
         let moved = set_point.gap(Range::at(agreement.set_point_v));
         let stays = moved > SETTINGS.stuck_voltage * self.scale.volts
             && (value - agreement.measured_v).abs() < SETTINGS.stuck_part * moved;
@@ -207,10 +206,10 @@ impl Plausibility {
         idle: bool,
         figures: &str,
     ) -> Trip {
-        if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
+        if let (Demand::Voltage(_), Some(nameplate)) = (demand, &self.nameplate)
             && let Some(row) = self.history.rows().back().filter(|_| !idle)
         {
-            let response = plate.current_v(row) + plate.back_emf * row.speed_rad_s;
+            let response = nameplate.current_v(row) + nameplate.back_emf * row.speed_rad_s;
             let distance = |volts: f64| (response - volts).abs();
             if 2.0 * distance(wanted) < distance(value)
                 && distance(wanted) < self.drop_v() + 0.3 * wanted.abs()
@@ -218,11 +217,11 @@ impl Plausibility {
                 let what = format!(
                     "{figures}; current and speed are those of {response:.1} V, so the measured voltage is wrong; check its address, scale and sign in the drive's profile"
                 );
-                return self.doubt(TripKind::VoltageImplausible, (value, wanted), &what);
+                return self.trip(TripKind::VoltageImplausible, (value, wanted), &what);
             }
         }
         let what = format!("{figures}; {CHECK_SET_POINT}");
-        self.doubt(TripKind::SetPointIgnored, (value, wanted), &what)
+        self.trip(TripKind::SetPointIgnored, (value, wanted), &what)
     }
 
     /// The angle turned over the last cycles against the speed.
@@ -249,7 +248,7 @@ impl Plausibility {
             widest = widest.max(row.speed_change_rad_s.abs());
             seconds += row.seconds;
             let range = Range::around(row.speed_rad_s, 0.5 * row.speed_change_rad_s.abs());
-            speeds = Some(speeds.map_or(range, |speeds: Range| speeds.hull(range)));
+            speeds = Some(speeds.map_or(range, |speeds: Range| speeds.union(range)));
         }
         let rate = (turned - worst.1) / (seconds - worst.2);
         // Of stamped speeds the mean is narrower than their range.
@@ -257,11 +256,11 @@ impl Plausibility {
             if self.is_exact() { Range::around(by_speed / seconds, widest) } else { speeds? };
         let plausible = speeds.times(SETTINGS.any_factor).wider(2.0 * self.rest_rad_s());
         if plausible.gap(Range::at(rate)) <= 0.0 {
-            self.doubts.angle_windows = 0;
+            self.symptoms.angle_windows = 0;
             return None;
         }
-        self.doubts.angle_windows += 1;
-        if self.doubts.angle_windows < SETTINGS.confirming_windows {
+        self.symptoms.angle_windows += 1;
+        if self.symptoms.angle_windows < SETTINGS.confirming_windows {
             return None;
         }
         let speed = speeds.middle();
@@ -274,7 +273,7 @@ impl Plausibility {
         } else {
             TripKind::AngleImplausible
         };
-        Some(self.doubt(kind, (rate, speed), &what))
+        Some(self.trip(kind, (rate, speed), &what))
     }
 
     /// The speed grows beyond its reference although the torque is against it.
@@ -287,11 +286,11 @@ impl Plausibility {
         let grows = direction * row.speed_change_rad_s > 0.0;
         let braked = direction * row.current_a < 0.0;
         if !(grows && braked && beyond > SETTINGS.runaway_beyond * self.bounds.speed_rad_s) {
-            self.doubts.runaway = None;
+            self.symptoms.runaway = None;
             return None;
         }
         let runaway = self
-            .doubts
+            .symptoms
             .runaway
             .get_or_insert(Runaway { from_rad_s: speed - row.speed_change_rad_s, cycles: 0 });
         runaway.cycles += 1;
@@ -301,15 +300,15 @@ impl Plausibility {
             return None;
         }
         // With a reversed encoder the shaft runs away as soon as it moves.
-        if let Some(plate) = self.plate
-            && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
+        if let Some(nameplate) = self.nameplate
+            && let Some(window) = self.window(&nameplate, SETTINGS.stamped_rows)
             && window.misfit(-1.0) < window.misfit(1.0)
         {
-            return Some(self.misread(TripKind::EncoderReversed, &plate, &window));
+            return Some(self.misread(TripKind::EncoderReversed, &nameplate, &window));
         }
         let what = format!(
             "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"
         );
-        Some(self.doubt(TripKind::Runaway, (speed, reference), &what))
+        Some(self.trip(TripKind::Runaway, (speed, reference), &what))
     }
 }

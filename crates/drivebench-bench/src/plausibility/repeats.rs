@@ -62,7 +62,7 @@ impl Repeats {
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
     }
 
-    /// Length of a run that chance does not give; `None`: no noise at rest.
+    /// Least length of a run that is not by chance; `None`: no noise at rest.
     pub(super) fn needed(&self) -> Option<f64> {
         let by_chance = SETTINGS.repeat_chance.ln() / self.share()?.ln();
         let fewest = SETTINGS.fewest_repeats.max(3 * self.rest_longest);
@@ -99,12 +99,12 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_that_freezes_at_rest_does_not_pass_for_a_quiet_one() {
+    fn a_sensor_that_freezes_at_rest_is_found() {
         let mut sensor = after(&[0.1, -0.2, 0.05, 0.3, -0.1], 0);
         for n in 0..40 {
             sensor.push(f64::from(n), 0.2, true);
         }
-        assert!(!sensor.is_stuck(), "nothing asks for another reading yet");
+        assert!(!sensor.is_stuck(), "at rest the reading need not change");
         for n in 0..9 {
             sensor.push(f64::from(n), 0.2, false);
         }
@@ -124,6 +124,6 @@ mod tests {
         let slow: Vec<f64> = (0..60).map(|n: u32| f64::from(n / 4)).collect();
         assert!(!after(&slow, 40).is_stuck());
         assert!(after(&slow, 90).is_stuck());
-        assert!(!after(&slow, 90).is_silent(), "this may be a shaft that trembled");
+        assert!(!after(&slow, 90).is_silent(), "the shaft may have vibrated at rest");
     }
 }

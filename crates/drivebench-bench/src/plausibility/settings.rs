@@ -60,7 +60,7 @@ pub(super) struct Settings {
     /// Memory of the regression over both balances: time constant, s, and least rows.
     pub(super) memory_s: f64,
     pub(super) memory_rows: f64,
-    /// Standard deviations of an estimate that do not count as chance.
+    /// Half-width of the interval of an estimate, in standard deviations.
     pub(super) sigmas: f64,
     /// Noise of a row's voltage and torque, shares.
     pub(super) voltage_noise: f64,
@@ -71,7 +71,7 @@ pub(super) struct Settings {
     pub(super) drop_std: f64,
     pub(super) friction_std: f64,
     pub(super) unknown_std: f64,
-    /// Samples further apart do not belong together, s.
+    /// Longest time between the two samples of a row, s.
     pub(super) longest_row_s: f64,
     /// Between two samples voltage, current and command may move by these shares, and the measured voltage still counts as
     /// the one in force behind a drive's own current loop: such a loop follows a step within a part of a cycle, with several
@@ -84,7 +84,7 @@ pub(super) struct Settings {
     pub(super) fewest_repeats: usize,
     /// Readings at rest needed for the share of repeats.
     pub(super) rest_readings: usize,
-    /// A sensor with fewer repeats than this share has noise of its own, not only that of a trembling shaft.
+    /// A sensor with fewer repeats than this share has electrical noise, not only the vibration of a shaft.
     pub(super) seldom_repeats: f64,
 }
 

@@ -5,7 +5,7 @@ use crate::guard::Guard;
 use crate::limits::{Limits, Nameplate};
 use crate::pilot::Program;
 use crate::session::{Outcome, Session};
-use crate::testing::{Course, Tamper, Tampered, Wave, in_memory};
+use crate::testing::{Tamper, Tampered, TestRun, Wave, in_memory};
 use crate::timing::whole;
 use crate::trip::TripKind;
 use drivebench_emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
@@ -16,11 +16,11 @@ use drivebench_model::sample::{Channel, Command, Demand, Sample};
 enum SignalFault {
     #[default]
     Nothing,
-    /// Speed and angle stay as they are.
+    /// Speed and angle are frozen.
     Frozen,
     Reversed,
     SpeedTimes(f64),
-    /// The current reads the same from then on.
+    /// The current is frozen.
     CurrentStays,
     CurrentZero,
     CurrentTimes(f64),
@@ -32,7 +32,7 @@ enum SignalFault {
     VoltageTimes(f64),
     SwappedCurrentSpeed,
     SwappedVoltageCurrent,
-    /// The angle stays, the speed does not.
+    /// The angle is frozen, the speed is not.
     AngleStays,
 }
 
@@ -60,7 +60,7 @@ struct Broken {
 }
 
 impl Broken {
-    fn spoil(&mut self, mut sample: Sample) -> Sample {
+    fn with_fault(&mut self, mut sample: Sample) -> Sample {
         let raw = |sample: &Sample, channel| sample.get(channel).unwrap();
         if self.traits.stale > 1 {
             if self.exchanges.is_multiple_of(self.traits.stale) || self.kept.is_none() {
@@ -152,7 +152,7 @@ impl Tamper<MemoryLink> for Broken {
             }
         }
         self.last = command.demand;
-        Ok(self.spoil(link.exchange(command)?))
+        Ok(self.with_fault(link.exchange(command)?))
     }
 }
 
@@ -162,7 +162,7 @@ struct Trial {
     rate_hz: f64,
     waived: bool,
     config: EmulatorConfig,
-    plate: Nameplate,
+    nameplate: Nameplate,
     limits: Limits,
     seed: u64,
 }
@@ -175,13 +175,13 @@ impl Trial {
             rate_hz: 100.0,
             waived: false,
             config: EmulatorConfig::embedded("zk-22fc-plain").unwrap(),
-            plate: bench.nameplate().unwrap(),
+            nameplate: bench.nameplate().unwrap(),
             limits: bench.limits(),
             seed,
         }
     }
 
-    /// A drive at a slow line, with the watchdog and the silence that go with it.
+    /// A drive on a slow line, with the watchdog and the allowed silence of that line.
     fn slow(fault: SignalFault, from_s: f64, seed: u64, rate_hz: f64) -> Self {
         let mut trial = Self::new(fault, from_s, seed);
         trial.rate_hz = rate_hz;
@@ -202,12 +202,12 @@ impl Trial {
             last: Demand::Disable,
         };
         let mut link = Tampered { link, by };
-        let guard = Guard::new(self.limits, &self.plate, Some(11.4));
+        let guard = Guard::new(self.limits, &self.nameplate, Some(11.4));
         let mut session = Session::new(program, guard.with_period(1.0 / self.rate_hz));
         if self.waived {
             session = session.with_waivers(vec!["plausibility".to_owned()]);
         }
-        let (summary, _) = Course::at(self.rate_hz).run(session, &mut link, &mut clock);
+        let (summary, _) = TestRun::at(self.rate_hz).run(session, &mut link, &mut clock);
         let last = link.by.last;
         assert!(matches!(last, Demand::Stop | Demand::Disable), "{last:?}");
         summary.outcome
@@ -221,7 +221,7 @@ impl Trial {
 }
 
 /// A trip of the fault detection, not of a limit.
-const fn is_doubt(kind: TripKind) -> bool {
+const fn is_fault_detection(kind: TripKind) -> bool {
     matches!(
         kind,
         TripKind::EncoderFrozen
@@ -241,7 +241,7 @@ const fn is_doubt(kind: TripKind) -> bool {
 
 /// The embedded motor begins to turn at 0.53 s, runs at 95 V until 1.6 s and is back at rest at 2.3 s.
 #[test]
-fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
+fn a_broken_signal_ends_a_run_in_time_with_its_name() {
     use TripKind::{
         AngleImplausible, CurrentImplausible, CurrentReversed, CurrentStuck, EncoderFrozen,
         EncoderReversed, OverCurrent, OverSpeed, SetPointIgnored, SignalsSwapped, SpeedImplausible,
@@ -262,7 +262,7 @@ fn a_broken_signal_ends_a_run_in_time_and_with_its_own_name() {
         (SignalFault::SpeedTimes(3.0), &[START, FAST], &[SpeedImplausible, OverSpeed]),
         (SignalFault::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
         (SignalFault::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
-        // At a steady 1.3 A nothing is observable, and little while braking; at the latest it is at the next acceleration.
+        // At a steady 1.3 A it is not observable, and hardly while braking; at the latest at the next acceleration.
         (SignalFault::CurrentTimes(-1.0), &[REST, (1.2, 3.6), BACK], &[CurrentReversed]),
         // Three times as much exceeds the current limit first; a third of it is observable only over many rows.
         (
@@ -318,7 +318,9 @@ fn a_waiver_covers_a_scale_and_no_broken_signal() {
 /// A false alarm of a healthy drive.
 fn false_alarm(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
     match trial.run(program) {
-        Outcome::Tripped(trip) if is_doubt(trip.kind) => Some(format!("{about}: {}", trip.reason)),
+        Outcome::Tripped(trip) if is_fault_detection(trip.kind) => {
+            Some(format!("{about}: {}", trip.reason))
+        }
         _ => None,
     }
 }
@@ -364,8 +366,7 @@ fn slow_steps() -> Box<dyn Program> {
 fn a_slow_coarse_and_stale_drive_causes_no_false_alarm() {
     let mut false_alarms = Vec::new();
     let slow = [(20.0, 2), (20.0, 3), (10.0, 1), (10.0, 2), (8.0, 1), (8.0, 3)];
-    let fast = [(50.0, 1), (50.0, 4), (33.0, 3)];
-    for (rate_hz, stale) in fast.into_iter().chain(slow) {
+    for (rate_hz, stale) in [(50.0, 1), (50.0, 4), (33.0, 3)].into_iter().chain(slow) {
         for seed in 1..=3 {
             for foreign in [false, true] {
                 let mut trial = Trial::slow(SignalFault::Nothing, 0.0, seed, rate_hz);
@@ -396,7 +397,7 @@ fn a_slow_drives_encoder_fault_is_found_in_five_cycles() {
                 panic!("{fault:?} {rate_hz} Hz: {outcome:?}");
             };
             assert_eq!(trip.kind, kind, "{rate_hz} Hz: {}", trip.reason);
-            // A speed that froze on a plateau shows when the voltage leaves it, at 4.5 s.
+            // A speed that is frozen at a constant level is detected when the voltage changes, at 4.5 s.
             let frozen = kind == TripKind::EncoderFrozen;
             let from_s = if frozen { 4.6 } else { 3.5 };
             let latest_s = from_s + (7.0 / rate_hz).max(0.3) + 0.1;

@@ -51,14 +51,14 @@ impl FromStr for ColumnMap {
     fn from_str(text: &str) -> Result<Self, RecordingError> {
         let mut items: Vec<Mapping> = Vec::new();
         let mut parts = split_unquoted(text, ',');
-        // A comma at the very end is harmless.
+        // A trailing comma is allowed.
         if parts.len() > 1 && parts.last().is_some_and(|last| last.is_empty()) {
             parts.pop();
         }
         for item in parts {
             let mapping = parse_item(item)?;
             if items.iter().any(|other| other.target == mapping.target) {
-                return Err(wrong(item, "this target was given before"));
+                return Err(map_error(item, "this target was given before"));
             }
             items.push(mapping);
         }
@@ -82,7 +82,7 @@ fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
 
 fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
     let (target, source) =
-        item.split_once('=').ok_or_else(|| wrong(item, "no = between target and header"))?;
+        item.split_once('=').ok_or_else(|| map_error(item, "no = between target and header"))?;
     let target = target.trim();
     let channel = Channel::from_key(target);
     if channel.is_none() && target != "time_s" {
@@ -94,20 +94,20 @@ fn parse_item(item: &str) -> Result<Mapping, RecordingError> {
     let (mut columns, mut factor, mut offset) = (Vec::new(), 1.0, 0.0);
     // A header may contain stars.
     let (mut header, mut at) = ("", 0);
-    for (place, mut part) in parts.iter().copied().enumerate() {
-        if place + 1 == parts.len() {
+    for (index, mut part) in parts.iter().copied().enumerate() {
+        if index + 1 == parts.len() {
             (part, offset) = split_offset(item, part)?;
         }
         at += source[at..].find(part).unwrap_or_default() + part.len();
-        if let Some(value) = number(part).filter(|_| place > 0) {
+        if let Some(value) = number(part).filter(|_| index > 0) {
             if value == 0.0 {
                 // All cells would be equal.
-                return Err(wrong(item, "the factor is 0 (allowed: any other number)"));
+                return Err(map_error(item, "the factor is 0 (allowed: any other number)"));
             }
             factor *= value;
             continue;
         }
-        columns.push(parse_column(item, part, place > 0)?);
+        columns.push(parse_column(item, part, index > 0)?);
         header = &source[..at];
     }
     let header = match &columns[..] {
@@ -123,25 +123,25 @@ fn parse_column(item: &str, part: &str, is_after_star: bool) -> Result<Factor, R
     if let Some(inner) = part.strip_prefix("sign(").and_then(|rest| rest.strip_suffix(')')) {
         return match parse_column(item, inner.trim(), false)? {
             Factor::Column(name) => Ok(Factor::SignOf(name)),
-            Factor::SignOf(_) => Err(wrong(item, "the sign of a sign is the sign itself")),
+            Factor::SignOf(_) => Err(map_error(item, "the sign of a sign is the sign itself")),
         };
     }
     let looks_like_number = part.parse::<f64>().is_ok()
         || part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
     if is_after_star && (part.is_empty() || looks_like_number) {
         let reason = format!("{part:?} after the last * is neither a factor nor factor+offset");
-        return Err(wrong(item, reason));
+        return Err(map_error(item, reason));
     }
     let name = match part.strip_prefix('"') {
         Some(quoted) => quoted
             .strip_suffix('"')
-            .ok_or_else(|| wrong(item, "the quote around the header is not closed"))?
+            .ok_or_else(|| map_error(item, "the quote around the header is not closed"))?
             .replace("\"\"", "\""),
         None => part.to_owned(),
     };
     let name = name.trim().to_owned();
     if name.is_empty() {
-        return Err(wrong(item, "the header is empty"));
+        return Err(map_error(item, "the header is empty"));
     }
     Ok(Factor::Column(name))
 }
@@ -153,16 +153,16 @@ fn split_offset<'a>(item: &str, part: &'a str) -> Result<(&'a str, f64), Recordi
         let Some(close) = part.rfind('"').filter(|close| *close > 0) else {
             return Ok((part, 0.0));
         };
-        let behind = part[close + 1..].trim();
-        if behind.is_empty() {
+        let rest = part[close + 1..].trim();
+        if rest.is_empty() {
             return Ok((part, 0.0));
         }
-        let Some(offset) = behind.strip_prefix('+') else {
-            let reason = format!("{behind:?} after the header is neither *factor nor +offset");
-            return Err(wrong(item, reason));
+        let Some(offset) = rest.strip_prefix('+') else {
+            let reason = format!("{rest:?} after the header is neither *factor nor +offset");
+            return Err(map_error(item, reason));
         };
         let reason = || format!("the offset {offset:?} is not a finite number");
-        return Ok((&part[..=close], number(offset).ok_or_else(|| wrong(item, reason()))?));
+        return Ok((&part[..=close], number(offset).ok_or_else(|| map_error(item, reason()))?));
     }
     let is_factor = part.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first));
     if number(part).is_none() {
@@ -180,7 +180,7 @@ fn number(text: &str) -> Option<f64> {
     text.trim().parse::<f64>().ok().filter(|value| value.is_finite())
 }
 
-fn wrong(item: &str, reason: impl Into<String>) -> RecordingError {
+fn map_error(item: &str, reason: impl Into<String>) -> RecordingError {
     RecordingError::Map { item: item.to_owned(), reason: reason.into() }
 }
 

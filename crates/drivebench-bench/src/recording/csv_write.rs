@@ -220,7 +220,7 @@ mod tests {
     use proptest::prelude::*;
 
     #[test]
-    fn columns_stand_in_the_order_of_the_contract() {
+    fn columns_have_the_order_of_the_contract() {
         assert_eq!(
             Layout::of_drive(&Channel::ALL).header(),
             "time_s,host_time_s,seq,reference_rad_s,voltage_cmd_v,voltage_v,current_a,speed_rad_s,angle_rad,\

@@ -23,7 +23,7 @@ pub enum RowProblem {
     TooLarge { column: String, value: f64 },
 }
 
-const ABSURD: &str = "check the cell and the unit of its column; leave a damaged cell empty";
+const CHECK_CELL: &str = "check the cell and the unit of its column; leave a damaged cell empty";
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RecordingError {
@@ -89,17 +89,17 @@ impl RecordingError {
                 RowProblem::TimeNotIncreasing { .. } => "sort the rows by time and remove repeated ones; is this the time column?",
                 RowProblem::TimeMissing { .. } => "remove the row or give it a time",
                 RowProblem::FieldCount { .. } => "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this",
-                RowProblem::TooLarge { .. } => ABSURD,
+                RowProblem::TooLarge { .. } => CHECK_CELL,
                 RowProblem::NotANumber { .. } => "leave a missing value empty or write NaN; numbers have a decimal point and no unit",
             }
             .into(),
-            Self::Quote { .. } => "a quoted cell must begin and end on one line, with nothing but its separator behind it".into(),
+            Self::Quote { .. } => "a quoted cell must begin and end on one line, with nothing but its separator after it".into(),
             Self::LineTooLong { .. } => "rows end with a line feed; is this a text file?".into(),
             Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()
             }
-            Self::Run { source: RunError::Absurd { .. }, .. } => ABSURD.into(),
+            Self::Run { source: RunError::Absurd { .. }, .. } => CHECK_CELL.into(),
             Self::Run { .. } => "time must grow from row to row, and every row needs a cell for every column".into(),
             Self::WriterGone { .. } => "the run is unfinished; its rows so far are on disk".into(),
         }

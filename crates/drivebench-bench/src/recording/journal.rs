@@ -70,7 +70,7 @@ pub struct RecorderStatus {
     /// The first error of the disk; it is over when no bytes wait.
     pub error: Option<String>,
     /// Errors and recoveries of the record in sentences, the newest last.
-    pub news: Vec<String>,
+    pub messages: Vec<String>,
 }
 
 /// A byte sink that can be synced and read back.
@@ -120,14 +120,14 @@ impl<S: Durable> Read for ReadBack<'_, S> {
 
 /// Limits of a log in memory, bytes.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Room {
+pub(super) struct Capacity {
     /// Of the written lines, the newest: a failing disk may not have made them durable.
     pub(super) written: usize,
     /// Of all lines; those beyond are lost.
     pub(super) all: usize,
 }
 
-impl Room {
+impl Capacity {
     /// The last seconds of written samples at 1 kHz, and without a disk hours at 50 Hz, half an hour at 1 kHz.
     pub(super) const SAMPLES: Self = Self { written: 1 << 20, all: 256 << 20 };
     pub(super) const EVENTS: Self = Self { written: 1 << 18, all: 16 << 20 };
@@ -145,13 +145,13 @@ pub(super) struct Lines<S> {
     /// Bytes and lines before `text`, only in the sink.
     earlier_bytes: u64,
     earlier_count: usize,
-    room: Room,
+    room: Capacity,
     /// Lines neither in the sink nor in memory.
     lost: usize,
 }
 
 impl<S: Durable> Lines<S> {
-    pub(super) fn new(sink: S, room: Room) -> Self {
+    pub(super) fn new(sink: S, room: Capacity) -> Self {
         Self {
             sink,
             text: Vec::new(),
@@ -363,8 +363,8 @@ impl<S: Durable> Journal<S> {
     /// Reports in the status; a disk with changing errors must not fill the memory.
     pub(super) fn report(&mut self, text: String) {
         self.status.error.get_or_insert_with(|| text.clone());
-        if self.status.news.len() < 20 {
-            self.status.news.push(text);
+        if self.status.messages.len() < 20 {
+            self.status.messages.push(text);
         }
     }
 
@@ -448,7 +448,7 @@ pub struct MemoryRecorder {
 
 impl MemoryRecorder {
     pub fn new(layout: Layout) -> Self {
-        let lines = || Lines::new(io::sink(), Room::UNBOUNDED);
+        let lines = || Lines::new(io::sink(), Capacity::UNBOUNDED);
         Self {
             order: RowOrder::new(layout.clone()),
             journal: Journal::new(layout, lines(), lines(), usize::MAX),
@@ -555,8 +555,8 @@ mod tests {
         }
     }
 
-    fn room(written: usize, all: usize) -> Room {
-        Room { written, all }
+    fn room(written: usize, all: usize) -> Capacity {
+        Capacity { written, all }
     }
 
     fn of(value: f64) -> Row {
@@ -585,10 +585,10 @@ mod tests {
         journal.finish();
         assert_eq!(journal.status().bytes_waiting, 0);
         assert_eq!(journal.samples.sink.bytes, expected.as_bytes());
-        let news = journal.status().news;
-        assert_eq!(news.len(), 2, "{news:?}");
-        assert!(news[0].contains("No space left"), "{news:?}");
-        assert!(news[1].contains("written again"), "{news:?}");
+        let messages = journal.status().messages;
+        assert_eq!(messages.len(), 2, "{messages:?}");
+        assert!(messages[0].contains("No space left"), "{messages:?}");
+        assert!(messages[1].contains("written again"), "{messages:?}");
         assert_eq!(journal.samples.whole().unwrap(), expected.as_bytes());
     }
 
@@ -640,7 +640,7 @@ mod tests {
         let mut journal = Journal::new(layout.clone(), lines(10_000, 60), lines(0, 0), 10);
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
         assert_eq!(journal.status().rows_lost, 0);
-        assert!(journal.status().news.is_empty());
+        assert!(journal.status().messages.is_empty());
         assert_eq!(journal.samples.whole().unwrap(), journal.samples.sink.bytes);
         assert!(journal.samples.text.len() <= 60, "{:?}", journal.samples);
         // On a full disk rows beyond the memory are lost, which is reported once.
@@ -648,18 +648,18 @@ mod tests {
         (0..100_u32).for_each(|count| row(&mut journal, f64::from(count)));
         let status = journal.status();
         assert!((80..100).contains(&status.rows_lost), "{status:?}");
-        assert_eq!(status.news.len(), 2, "{status:?}");
-        assert!(status.news[1].contains("rows are lost"), "{status:?}");
+        assert_eq!(status.messages.len(), 2, "{status:?}");
+        assert!(status.messages[1].contains("rows are lost"), "{status:?}");
         journal.event(&Event::new(0.0, None, "mark"));
         journal.event(&Event::new(0.0, None, "mark"));
         let status = journal.status();
         assert_eq!(status.events_lost, 2);
-        assert!(status.news[2].contains("events are lost"), "{status:?}");
+        assert!(status.messages[2].contains("events are lost"), "{status:?}");
         // After the disk is emptied the lost rows stay lost.
         journal.samples.sink.room = 10_000;
         row(&mut journal, 0.5);
         let status = journal.status();
-        assert!(status.news[3].contains("rows and 2 events are lost"), "{status:?}");
+        assert!(status.messages[3].contains("rows and 2 events are lost"), "{status:?}");
         // On another disk: a header, the remaining rows, and the new ones.
         journal.move_to(disk(10_000), disk(10_000)).unwrap();
         row(&mut journal, 100.0);

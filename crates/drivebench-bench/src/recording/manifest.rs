@@ -82,11 +82,11 @@ impl Machine {
 
 impl std::fmt::Display for Machine {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let or_unknown = |word: &str| {
-            if word.is_empty() { "unknown".to_owned() } else { word.to_owned() }
+        let or_unknown = |text: &str| {
+            if text.is_empty() { "unknown".to_owned() } else { text.to_owned() }
         };
         let [drive, serial, motor] =
-            [&self.drive, &self.drive_serial, &self.motor].map(|word| or_unknown(word));
+            [&self.drive, &self.drive_serial, &self.motor].map(|text| or_unknown(text));
         write!(f, "motor {motor} on {drive}, serial {serial}")
     }
 }

@@ -1,4 +1,4 @@
-//! Run folders and CSV: writing while it runs, reading whatever is there.
+//! Run folders and CSV: written during the run, read complete or not.
 //!
 //! ```text
 //! Sample, CommandRow -> RowOrder -> Row -+-> on-line identification

@@ -126,7 +126,7 @@ pub fn run_from_memory(
 ) -> Result<LoadedRun, RecordingError> {
     let name = folder.display().to_string();
     let options = ReadOptions { map: None, in_run_folder: true };
-    // Memory can be read.
+    // A read from memory does not fail.
     let (length, ends_torn) = whole_rows(&mut Cursor::new(samples)).unwrap_or_default();
     let mut rows = CsvRows::new(samples.take(length), &name, options)?;
     rows.set_ends_torn(ends_torn);

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use super::journal::{Durable, Journal, Lines, Room};
+use super::journal::{Capacity, Durable, Journal, Lines};
 use super::{
     CommandRow, Event, Layout, Manifest, Record, RecorderStatus, RecordingError, Row, RowOrder,
     RunFolder,
@@ -100,9 +100,9 @@ impl Recorder {
         let logs = [Log(Ok(samples)), Log(Ok(events))];
         let mut writer = Writer::new(folder, layout, manifest, sync_every_rows, logs);
         writer.folder.write_manifest(&writer.unfinished)?;
-        let place = Place::of(&writer.folder)
+        let identity = FolderIdentity::of(&writer.folder)
             .map_err(|error| RecordingError::io(writer.folder.path(), "look at", &error))?;
-        writer.place = Some(place);
+        writer.identity = Some(identity);
         Self::start(writer)
     }
 
@@ -180,7 +180,7 @@ impl Recorder {
         if !sent && status.error.is_none() {
             let text = "the writer thread of the record is gone: nothing is recorded any more";
             status.error = Some(text.to_owned());
-            status.news.push(text.to_owned());
+            status.messages.push(text.to_owned());
         }
     }
 }
@@ -221,9 +221,9 @@ impl Drop for Recorder {
 /// Device and inode of the folder and of its two logs. A deleted or renamed folder leaves the logs open, and what is written to
 /// them is lost.
 #[derive(Debug, PartialEq, Eq)]
-struct Place([(u64, u64); 3]);
+struct FolderIdentity([(u64, u64); 3]);
 
-impl Place {
+impl FolderIdentity {
     fn of(folder: &RunFolder) -> io::Result<Self> {
         let number = |path: &Path| {
             let found = std::fs::metadata(path)?;
@@ -265,7 +265,7 @@ struct Writer {
     journal: Journal<Log>,
     folder: RunFolder,
     /// `None` before there was one.
-    place: Option<Place>,
+    identity: Option<FolderIdentity>,
     /// Why the folder, which is gone, cannot be created again.
     gone: Option<String>,
     /// Checks to skip before the next trial, and those skipped before the last one: each trial copies the whole log.
@@ -287,12 +287,12 @@ impl Writer {
         Self {
             journal: Journal::new(
                 layout,
-                Lines::new(samples, Room::SAMPLES),
-                Lines::new(events, Room::EVENTS),
+                Lines::new(samples, Capacity::SAMPLES),
+                Lines::new(events, Capacity::EVENTS),
                 sync_every_rows,
             ),
             folder,
-            place: None,
+            identity: None,
             gone: None,
             checks_to_skip: 0,
             checks_skipped: 0,
@@ -332,8 +332,8 @@ impl Writer {
     /// Creates the folder again if it is gone.
     fn check_folder(&mut self) {
         use io::ErrorKind::{NotADirectory, NotFound};
-        let is_same = match Place::of(&self.folder) {
-            Ok(place) => self.place.as_ref() == Some(&place),
+        let is_same = match FolderIdentity::of(&self.folder) {
+            Ok(identity) => self.identity.as_ref() == Some(&identity),
             // After another error it may still exist: a write shows it.
             Err(error) => !matches!(error.kind(), NotFound | NotADirectory),
         };
@@ -351,17 +351,19 @@ impl Writer {
         }
         let old = self.folder.path().display().to_string();
         let lost = self.journal.status().rows_lost;
-        let what = match self.place {
+        let what = match self.identity {
             Some(_) => "was deleted or renamed",
             None => "could not be made",
         };
-        match self.remade() {
+        match self.recreate() {
             Ok(()) => {
                 let new = self.folder.path().display();
                 let lost = self.journal.status().rows_lost - lost;
                 let rest = match lost {
                     0 => String::new(),
-                    lost => format!(", without {lost} rows, which the old file did not give back"),
+                    lost => {
+                        format!(", without {lost} rows, which could not be read from the old file")
+                    }
                 };
                 (self.gone, self.checks_skipped) = (None, 0);
                 self.journal
@@ -382,11 +384,11 @@ impl Writer {
         }
     }
 
-    fn remade(&mut self) -> Result<(), RecordingError> {
+    fn recreate(&mut self) -> Result<(), RecordingError> {
         let folder = self.folder.again()?;
         match self.move_to(&folder) {
-            Ok(place) => {
-                (self.place, self.folder) = (Some(place), folder);
+            Ok(identity) => {
+                (self.identity, self.folder) = (Some(identity), folder);
                 Ok(())
             }
             Err(error) => {
@@ -397,15 +399,15 @@ impl Writer {
         }
     }
 
-    fn move_to(&mut self, folder: &RunFolder) -> Result<Place, RecordingError> {
+    fn move_to(&mut self, folder: &RunFolder) -> Result<FolderIdentity, RecordingError> {
         let (samples, events) = folder.create_logs()?;
         folder.write_manifest(&self.unfinished)?;
         let failed = |doing| move |error| RecordingError::io(folder.path(), doing, &error);
-        let place = Place::of(folder).map_err(failed("look at"))?;
+        let identity = FolderIdentity::of(folder).map_err(failed("look at"))?;
         self.journal
             .move_to(Log(Ok(samples)), Log(Ok(events)))
             .map_err(failed("move the record to"))?;
-        Ok(place)
+        Ok(identity)
     }
 
     fn close(&mut self, manifest: &Manifest) -> Result<(), RecordingError> {

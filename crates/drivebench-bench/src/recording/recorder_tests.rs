@@ -93,7 +93,7 @@ fn the_file_grows_by_whole_lines() {
     let root = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
     let (samples, events) = folder.create_logs().unwrap();
-    let lines = |sink| Lines::new(sink, Room::SAMPLES);
+    let lines = |sink| Lines::new(sink, Capacity::SAMPLES);
     let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
     for row in 0..50_usize {
         let mut line = Row::at(row as f64);
@@ -113,10 +113,10 @@ fn expected(cycles: u32) -> (String, String) {
     (memory.samples_csv(), memory.events_jsonl())
 }
 
-fn wait_for_news(disk: &Recorder) -> String {
+fn wait_for_message(disk: &Recorder) -> String {
     for _ in 0..1000 {
-        if let Some(news) = disk.status().news.last() {
-            return news.clone();
+        if let Some(messages) = disk.status().messages.last() {
+            return messages.clone();
         }
         std::thread::sleep(std::time::Duration::from_millis(10));
     }
@@ -130,7 +130,7 @@ fn a_folder_that_is_deleted_or_renamed_is_made_again_whole() {
         let root = tempfile::tempdir().unwrap();
         let folder = RunFolder::create(root.path(), "20260131T000000Z", "test").unwrap();
         let mut disk = Recorder::create(folder, layout(), &manifest(), 10_000).unwrap();
-        // More than what stays in memory of what is written.
+        // More than the rows that are kept in memory after they are written.
         drive(&mut disk, cycles);
         let path = disk.folder().path().to_owned();
         if renamed {
@@ -138,17 +138,17 @@ fn a_folder_that_is_deleted_or_renamed_is_made_again_whole() {
         } else {
             fs::remove_dir_all(&path).unwrap();
         }
-        // It is checked while nothing comes.
-        let news = wait_for_news(&disk);
-        assert!(news.contains("was deleted or renamed"), "{news:?}");
-        assert!(news.contains("made again in"), "{news:?}");
+        // It is checked while no row arrives.
+        let messages = wait_for_message(&disk);
+        assert!(messages.contains("was deleted or renamed"), "{messages:?}");
+        assert!(messages.contains("made again in"), "{messages:?}");
         let kept = disk.finish(&manifest());
         assert_eq!(kept.error, None);
         assert!(kept.status.error.is_some());
         let loaded = open_run(kept.folder.path(), None).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
         let (samples, events) = expected(cycles);
-        assert!(samples.len() > 2 * Room::SAMPLES.written);
+        assert!(samples.len() > 2 * Capacity::SAMPLES.written);
         assert_eq!(read(kept.folder.samples()), samples);
         assert_eq!(read(kept.folder.events()), events);
         assert_eq!(kept.logs.samples(), Some(samples.into_bytes()));
@@ -176,17 +176,16 @@ fn a_run_whose_folder_cannot_be_made_again_is_kept_in_memory() {
     drive(&mut disk, 30);
     fs::rename(&runs, root.path().join("elsewhere")).unwrap();
     fs::write(&runs, "a file stands in the way").unwrap();
-    let news = wait_for_news(&disk);
-    assert!(news.contains("cannot be made again"), "{news:?}");
+    let messages = wait_for_message(&disk);
+    assert!(messages.contains("cannot be made again"), "{messages:?}");
     let kept = disk.finish(&manifest());
     assert!(matches!(kept.error, Some(RecordingError::Io { .. })), "{:?}", kept.error);
     let samples = kept.logs.samples().unwrap();
     assert_eq!(String::from_utf8_lossy(&samples), expected(30).0);
-    // Another place takes all of it.
+    // Another folder takes all of it.
     let rescue = |place: &str| {
         let place = root.path().join(place);
-        let rescued = kept.logs.rescue(&kept.folder, &place, &manifest());
-        rescued.unwrap().unwrap()
+        kept.logs.rescue(&kept.folder, &place, &manifest()).unwrap().unwrap()
     };
     let rescued = rescue("other");
     let rights = |folder: &RunFolder| fs::metadata(folder.path()).unwrap().mode() & 0o777;
@@ -250,7 +249,7 @@ fn a_log_cut_at_any_byte_gives_all_its_whole_rows() {
     assert!(read(ends[0] - 1).is_err(), "a header that is torn names no columns");
 }
 
-/// The manifest is replaced atomically; a disk that breaks this still gives the samples.
+/// The manifest is replaced atomically; without that the samples are still read.
 #[test]
 fn a_manifest_cut_at_any_byte_loses_no_rows() {
     let root = tempfile::tempdir().unwrap();
@@ -311,7 +310,7 @@ fn write_until_killed(root: &std::path::Path) {
     }
 }
 
-/// Starts itself as the program that is killed.
+/// Starts this test as the program that is killed.
 #[test]
 fn a_killed_program_loses_no_whole_row() {
     if let Some(root) = std::env::var_os(KILLED_ROOT) {

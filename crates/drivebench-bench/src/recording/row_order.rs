@@ -61,7 +61,7 @@ impl RowOrder {
         self.waiting.push_back(row);
     }
 
-    /// The rows completed by this sample, its own last.
+    /// The rows completed by this sample; the last is that of the sample.
     pub fn sample(&mut self, sample: &Sample) -> &[Row] {
         self.rows.clear();
         // False for NaN too.
@@ -70,21 +70,21 @@ impl RowOrder {
             self.repeats += 1;
             return &self.rows;
         }
-        let mut own = self.sample_row(sample);
+        let mut sample_row = self.sample_row(sample);
         if let Some(applied) = sample.applied {
-            self.place_applied(applied, &mut own);
+            self.place_applied(applied, &mut sample_row);
         } else {
-            while self.waiting.front().is_some_and(|row| row.time_s <= own.time_s) {
-                self.place_front(None, &mut own);
+            while self.waiting.front().is_some_and(|row| row.time_s <= sample_row.time_s) {
+                self.place_front(None, &mut sample_row);
             }
         }
         // A drive that does not echo sequence numbers must not fill the memory.
         while self.waiting.len() > 64 {
             self.unconfirmed += 1;
-            self.place_front(Some("unconfirmed"), &mut own);
+            self.place_front(Some("unconfirmed"), &mut sample_row);
         }
-        self.last_s = own.time_s;
-        self.rows.push(own);
+        self.last_s = sample_row.time_s;
+        self.rows.push(sample_row);
         &self.rows
     }
 
@@ -100,7 +100,7 @@ impl RowOrder {
             self.unconfirmed += 1;
             let mut row = Row::at(self.after_last(waiting.time_s));
             self.fill(&waiting, Some("unconfirmed"), &mut row);
-            if self.shows(&row) {
+            if self.has_value(&row) {
                 self.last_s = row.time_s;
                 self.rows.push(row);
             }
@@ -108,7 +108,7 @@ impl RowOrder {
         &self.rows
     }
 
-    fn place_applied(&mut self, applied: Applied, own: &mut Row) {
+    fn place_applied(&mut self, applied: Applied, sample_row: &mut Row) {
         while let Some(front) = self.waiting.front_mut() {
             if front.command.seq > applied.seq {
                 break;
@@ -120,24 +120,24 @@ impl RowOrder {
                 front.time_s = front.time_s.min(applied.time_s);
                 self.unconfirmed += 1;
             }
-            self.place_front((!confirmed).then_some("unconfirmed"), own);
+            self.place_front((!confirmed).then_some("unconfirmed"), sample_row);
         }
     }
 
-    /// The first waiting command on a row of its own, or on that of the sample at the same time.
-    fn place_front(&mut self, remark: Option<&str>, own: &mut Row) {
+    /// The first waiting command on a separate row, or on that of the sample at the same time.
+    fn place_front(&mut self, remark: Option<&str>, sample_row: &mut Row) {
         let Some(waiting) = self.waiting.pop_front() else {
             return;
         };
         let time_s = self.after_last(waiting.time_s);
-        if time_s >= own.time_s {
-            self.fill(&waiting, remark, own);
+        if time_s >= sample_row.time_s {
+            self.fill(&waiting, remark, sample_row);
             return;
         }
         let mut row = Row::at(time_s);
         row.seq = Some(waiting.command.seq);
         self.fill(&waiting, remark, &mut row);
-        if self.shows(&row) {
+        if self.has_value(&row) {
             self.last_s = time_s;
             self.rows.push(row);
         }
@@ -170,9 +170,8 @@ impl RowOrder {
         }
     }
 
-    fn shows(&self, row: &Row) -> bool {
-        let mut channels = self.layout.channels().iter();
-        channels.any(|channel| row.get(*channel).is_some())
+    fn has_value(&self, row: &Row) -> bool {
+        self.layout.channels().iter().any(|channel| row.get(*channel).is_some())
     }
 
     /// Stale values are left out with a remark: they belong to an older instant.
@@ -189,7 +188,7 @@ impl RowOrder {
             match sample.quality(*channel) {
                 Quality::Good => row.set(*channel, sample.get(*channel)),
                 Quality::Stale => row.remark(*channel, "stale"),
-                // A stamp without a half-width is the drive's own.
+                // A stamp without a half-width comes from the drive.
                 Quality::Missing
                     if channel.is_commanded() || *channel == Channel::TimeHalfWidth => {}
                 Quality::Missing => row.remark(*channel, "missing"),

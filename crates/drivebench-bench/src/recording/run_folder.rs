@@ -87,7 +87,7 @@ impl RunFolder {
         Self::make(root, &format!("{}-{}", file_safe(stamp), file_safe(name)))
     }
 
-    /// Creates a folder that is gone again, under its own name or, where that is taken, with `-2`, `-3`, ...
+    /// Creates a deleted folder anew, under its own name or, where that exists, with `-2`, `-3`, ...
     pub(super) fn again(&self) -> Result<Self, RecordingError> {
         let root = self.path.parent().unwrap_or(Path::new("."));
         let base = self.path.file_name().unwrap_or_default();
@@ -138,9 +138,9 @@ impl RunFolder {
             return Err(io::Error::new(ErrorKind::AlreadyExists, reason));
         }
         let name = self.path.file_name().unwrap_or_default();
-        let beside = root.join(format!(".{LATEST}.{}", std::process::id()));
-        std::os::unix::fs::symlink(name, &beside)?;
-        fs::rename(&beside, &link).inspect_err(|_| drop(fs::remove_file(&beside)))
+        let temporary = root.join(format!(".{LATEST}.{}", std::process::id()));
+        std::os::unix::fs::symlink(name, &temporary)?;
+        fs::rename(&temporary, &link).inspect_err(|_| drop(fs::remove_file(&temporary)))
     }
 
     /// Writes a file atomically: to a temporary name, synced, then renamed. A crash leaves the old file or the new one.
@@ -150,17 +150,17 @@ impl RunFolder {
         content: &(impl AsRef<[u8]> + ?Sized),
     ) -> Result<PathBuf, RecordingError> {
         let path = self.file(file);
-        let beside = self.path.join(format!(".{}.part", file.name()));
+        let temporary = self.path.join(format!(".{}.part", file.name()));
         let write = || -> io::Result<()> {
-            let mut part = File::create(&beside)?;
+            let mut part = File::create(&temporary)?;
             part.write_all(content.as_ref())?;
             part.sync_all()?;
-            fs::rename(&beside, &path)?;
+            fs::rename(&temporary, &path)?;
             File::open(&self.path)?.sync_all()
         };
         write().map_err(|error| {
             // It would take space on a full disk.
-            let _ = fs::remove_file(&beside);
+            let _ = fs::remove_file(&temporary);
             RecordingError::io(&path, "write", &error)
         })?;
         Ok(path)

@@ -35,12 +35,12 @@ impl Default for Case {
 struct Outcome {
     reopened: Reopened,
     has_link: bool,
-    asked: Vec<String>,
+    requests: Vec<String>,
     events: Vec<serde_json::Value>,
     shown: Arc<crate::Snapshot>,
 }
 
-/// The result of the usual case with a change.
+/// The result of the standard case with a change.
 fn done(change: impl FnOnce(&mut Case)) -> Outcome {
     let mut case = Case::default();
     change(&mut case);
@@ -73,7 +73,7 @@ impl Case {
             limit_s: self.limit_s,
             seed: 1,
         };
-        let asked = Arc::<Mutex<Vec<String>>>::default();
+        let requests = Arc::<Mutex<Vec<String>>>::default();
         let mut tries = 0;
         let (reopened, link) = reopen(
             ReopenBench {
@@ -93,7 +93,7 @@ impl Case {
                 drive.faults.extend(self.faults.iter().cloned());
                 drive.serial_number = self.serial_number;
                 drive.confirms_stop = self.confirms;
-                drive.asked = Arc::clone(&asked);
+                drive.requests = Arc::clone(&requests);
                 Ok(Box::new(drive))
             },
         );
@@ -103,7 +103,7 @@ impl Case {
         Outcome {
             reopened,
             has_link: link.is_some(),
-            asked: asked.lock().unwrap().clone(),
+            requests: requests.lock().unwrap().clone(),
             events: events.collect(),
             shown: snapshots.latest(),
         }
@@ -116,7 +116,7 @@ fn the_same_drive_is_stopped_and_nothing_else() {
     assert_eq!(done.reopened.ending, ReopenEnding::Stopped);
     assert!(done.has_link && done.reopened.is_safe());
     assert_eq!(done.reopened.attempts, 4);
-    assert_eq!(done.asked, ["identify", "stop", "Disable"]);
+    assert_eq!(done.requests, ["identify", "stop", "Disable"]);
     // Not the state before the loss.
     assert_eq!(done.shown.drive_state, Some(DriveState::Disabled));
     // 50, 100, 200 and 400 ms, each up to a quarter off, after the reply 0.1 s before.
@@ -139,7 +139,7 @@ fn another_drive_is_only_read() {
     let done = done(|case| case.serial_number = "8");
     assert_eq!(done.reopened.ending, ReopenEnding::AnotherDrive);
     assert!(!done.has_link);
-    assert_eq!(done.asked, ["identify"]);
+    assert_eq!(done.requests, ["identify"]);
     has(&done.reopened.text, "identity mismatch");
     has(&done.reopened.text, "\"8\", before it was \"7\"");
     assert_ne!(done.shown.phase, Some(Phase::Safe));

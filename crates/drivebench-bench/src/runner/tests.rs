@@ -1,4 +1,4 @@
-//! The loop on a scripted drive, on the software drive, on a drive of another make, and in real time.
+//! The loop on a scripted drive, on the emulated drive, on a drive of another make, and in real time.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
@@ -10,8 +10,8 @@ use crate::limits::Limits;
 use crate::live_online::{RowEstimator, replay};
 use crate::recording::{CsvRows, MemoryRecorder, ReadOptions, Row};
 use crate::testing::{
-    Course, Fault, LateClock, ScriptedDrive, Stalls, Tamper, Tampered, Wave, constant, exact, gone,
-    has, in_memory, near, timeout, within,
+    Fault, LateClock, ScriptedDrive, Stalls, Tamper, Tampered, TestRun, Wave, constant, exact,
+    gone, has, in_memory, near, timeout, within,
 };
 use crate::trip::TripKind;
 use drivebench_emulator::{
@@ -36,13 +36,13 @@ fn emulated_with(
     let session = Session::new(Box::new(bench.program(run_seed).unwrap()), guard);
     let snapshots = SnapshotCell::default();
     let mut live = RowEstimator::new(OnlineConfig::default());
-    let course = Course {
+    let test = TestRun {
         motor: bench.nameplate(),
         estimator: Some(&mut live),
         snapshots: snapshots.clone(),
-        ..Course::default()
+        ..TestRun::default()
     };
-    let (summary, recorder) = course.run(session, &mut link, &mut clock);
+    let (summary, recorder) = test.run(session, &mut link, &mut clock);
     (summary, recorder, snapshots)
 }
 
@@ -65,7 +65,7 @@ fn the_embedded_bench_runs_to_its_end_in_virtual_time() {
         let latest = snapshots.latest();
         assert_eq!((latest.phase, latest.outcome), (Some(Phase::Done), Some("done")));
         assert_eq!(latest.trace.len(), 1200);
-        // The specimen differs from the nameplate, but a free run does not run away.
+        // The specimen differs from the nameplate, but a free run does not drift.
         let trace = latest.trace.iter();
         let errors = trace.map(|point| (point.speed_rad_s - point.model_speed_rad_s).abs());
         within(errors.fold(0.0, f64::max), ..80.0);
@@ -112,9 +112,9 @@ fn live_estimates_are_accurate_and_replay_to_the_bit() {
 /// A run at 10 V for 2 s on a scripted drive.
 struct Scripted<'a> {
     drive: ScriptedDrive,
-    /// For so long the host stands still once, after half a second.
+    /// Length of one stall of the host after half a second.
     stall_s: f64,
-    course: Course<'a>,
+    test: TestRun<'a>,
 }
 
 impl<'a> Scripted<'a> {
@@ -122,20 +122,20 @@ impl<'a> Scripted<'a> {
         Self {
             drive,
             stall_s: 0.0,
-            course: Course {
+            test: TestRun {
                 motor: BenchFile::embedded_default().nameplate(),
-                ..Course::default()
+                ..TestRun::default()
             },
         }
     }
 
     fn run(self) -> (RunSummary, String, ScriptedDrive) {
         let mut drive = self.drive;
-        let (summary, events) = Self::run_on(&mut drive, self.stall_s, self.course);
+        let (summary, events) = Self::run_on(&mut drive, self.stall_s, self.test);
         (summary, events, drive)
     }
 
-    fn run_on(drive: &mut ScriptedDrive, stall_s: f64, course: Course<'a>) -> (RunSummary, String) {
+    fn run_on(drive: &mut ScriptedDrive, stall_s: f64, test: TestRun<'a>) -> (RunSummary, String) {
         let bench = BenchFile::embedded_default();
         let guard = Guard::new(bench.limits(), &bench.nameplate().unwrap(), None);
         let session = Session::new(constant(2.0, Demand::Voltage(10.0)), guard);
@@ -144,13 +144,13 @@ impl<'a> Scripted<'a> {
             if now_s >= 0.5 { std::mem::take(&mut left_s) } else { 0.0 }
         };
         let mut clock = LateClock { clock: VirtualClock::new(), late_s };
-        let (summary, recorder) = course.run(session, drive, &mut clock);
+        let (summary, recorder) = test.run(session, drive, &mut clock);
         (summary, recorder.events_jsonl())
     }
 }
 
 #[test]
-fn missed_deadlines_are_counted_recorded_and_not_made_up_for() {
+fn missed_deadlines_are_counted_and_recorded_and_not_caught_up() {
     let mut scripted = Scripted::new(ScriptedDrive::new(0.01));
     scripted.stall_s = 0.043;
     let (summary, events, drive) = scripted.run();
@@ -176,13 +176,13 @@ fn a_host_that_stood_still_ends_at_stop() {
 #[test]
 fn an_interrupt_and_intents_of_the_screen_reach_the_session() {
     let mut scripted = Scripted::new(ScriptedDrive::new(0.01));
-    scripted.course.interrupted = true;
+    scripted.test.interrupted = true;
     let (summary, _, drive) = scripted.run();
     assert_eq!(summary.outcome, Outcome::Interrupted);
     assert_eq!(summary.outcome.exit_status(), 130);
     assert!(drive.stops >= 1);
     let mut scripted = Scripted::new(ScriptedDrive::new(0.01));
-    scripted.course.intents = vec![Intent::Mark("begin".to_owned()), Intent::Stop];
+    scripted.test.intents = vec![Intent::Mark("begin".to_owned()), Intent::Stop];
     let (summary, events, _) = scripted.run();
     assert_eq!(summary.outcome, Outcome::Stopped);
     has(events, "\"text\":\"begin\"");
@@ -237,8 +237,8 @@ impl LiveEstimator for Bomb {
 fn a_panic_on_the_way_still_ends_at_zero_output() {
     let mut drive = ScriptedDrive::new(0.01);
     let mut bomb = Bomb(30);
-    let course = Course { estimator: Some(&mut bomb), ..Course::default() };
-    assert!(catch_unwind(AssertUnwindSafe(|| Scripted::run_on(&mut drive, 0.0, course))).is_err());
+    let test = TestRun { estimator: Some(&mut bomb), ..TestRun::default() };
+    assert!(catch_unwind(AssertUnwindSafe(|| Scripted::run_on(&mut drive, 0.0, test))).is_err());
     assert!(drive.demands.last().unwrap().energises());
     assert_eq!(drive.stops, 1);
 }
@@ -249,13 +249,13 @@ fn in_real_time_every_deadline_is_either_kept_or_counted() {
     let begin_s = clock.now_s();
     let bench = BenchFile::embedded_default();
     let limits = Limits {
-        // A loaded test machine may well stand still for longer than a bench may.
+        // A loaded test machine may stall for longer than a bench is allowed to.
         link_silence_s: 20.0,
         ..bench.limits()
     };
     let guard = Guard::new(limits, &bench.nameplate().unwrap(), None);
     let session = Session::new(constant(0.3, Demand::Voltage(5.0)), guard);
-    let (summary, _) = Course::at(200.0).run(session, &mut ScriptedDrive::new(0.005), &mut clock);
+    let (summary, _) = TestRun::at(200.0).run(session, &mut ScriptedDrive::new(0.005), &mut clock);
     assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
     let deadlines = summary.timing.cycles + summary.timing.missed_cycles;
     let passed = whole((clock.now_s() - begin_s) / 0.005) as u64 + 1;
@@ -278,7 +278,7 @@ fn last_notices(
     summary.notices
 }
 
-fn disobeyed(link: String) -> LinkError {
+fn unconfirmed_stop(link: String) -> LinkError {
     LinkError::Sequence {
         link,
         command: "stop",
@@ -294,7 +294,7 @@ fn errors_with<'a>(notices: &'a [Notice], words: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn the_last_notice_is_no_more_than_is_known_of_the_stop() {
+fn the_last_notice_of_a_stop_is_not_more_than_confirmed() {
     type Failing = Option<fn(String) -> LinkError>;
     // A watchdog is named only for a drive that ran and does not answer.
     let watchdog = last_notices(60, Fault::Gone, Some(gone));
@@ -313,7 +313,7 @@ fn the_last_notice_is_no_more_than_is_known_of_the_stop() {
         drivebench_link::stop_confirmed(&name, || Ok(running.clone())).unwrap_err()
     };
     let cases: [(u64, Fault, Failing, &str); 3] = [
-        (60, Fault::IgnoresStop, Some(disobeyed), "still reports that it runs"),
+        (60, Fault::IgnoresStop, Some(unconfirmed_stop), "still reports that it runs"),
         (60, Fault::IgnoresStop, Some(unstopped), "still runs after 5 requests to stop"),
         (0, Fault::Timeout, Some(gone), "never reported that it runs"),
     ];
@@ -326,7 +326,7 @@ fn the_last_notice_is_no_more_than_is_known_of_the_stop() {
     }
 }
 
-/// Answers until it is dead; then each exchange takes all of its time and 20 ms more, as under load.
+/// Answers up to an exchange; then each one takes its whole timeout and 20 ms more, as under load.
 struct Held {
     clock: VirtualClock,
     dead_from: u64,
@@ -361,7 +361,7 @@ fn a_silent_link_is_never_called_a_stalled_host() {
         let link = ScriptedDrive::new(0.01);
         let guard = Guard::new(Limits::for_motor(&motor, 100.0), &motor, None);
         let session = Session::new(constant(4.0, Demand::Voltage(5.0)), guard);
-        let (summary, _) = Course::default().run(session, &mut Tampered { link, by }, &mut clock);
+        let (summary, _) = TestRun::default().run(session, &mut Tampered { link, by }, &mut clock);
         let Outcome::LinkLost { reason } = &summary.outcome else {
             panic!("{dead_from}: {:?}", summary.outcome);
         };
@@ -398,11 +398,11 @@ fn stalled(seed: u64, has_period: bool) -> Outcome {
             Demand::Voltage(if up { 40.0 } else { -40.0 })
         },
     };
-    Course::at(50.0).run(Session::new(Box::new(program), guard), &mut link, &mut clock).0.outcome
+    TestRun::at(50.0).run(Session::new(Box::new(program), guard), &mut link, &mut clock).0.outcome
 }
 
 /// Currents beyond the limit that ended the runs, A.
-fn beyond_a(has_period: bool) -> Vec<f64> {
+fn excess_currents_a(has_period: bool) -> Vec<f64> {
     let beyond = |seed| match stalled(seed, has_period) {
         Outcome::Tripped(trip) if trip.kind == TripKind::OverCurrent => Some(trip.value.abs()),
         other => {
@@ -416,11 +416,11 @@ fn beyond_a(has_period: bool) -> Vec<f64> {
 #[test]
 fn an_unobserved_shaft_is_not_braked_beyond_the_limit() {
     // A speed is one period old without stalls too: the limit is exceeded by a little now and then.
-    let with = beyond_a(true);
+    let with = excess_currents_a(true);
     assert!(with.len() < 4, "{with:?}");
     assert!(with.iter().copied().fold(0.0, f64::max) < 1.02 * STALLED_LIMIT_A, "{with:?}");
     // Without the age of a speed the same stalls drive far more current through the winding.
-    let without = beyond_a(false);
+    let without = excess_currents_a(false);
     let far = without.iter().filter(|amps| **amps > 1.1 * STALLED_LIMIT_A);
     assert!(far.count() > 15, "{without:?}");
 }
@@ -476,7 +476,7 @@ fn foreign(
     let motor = Nameplate::zk_22fc();
     let limits = Limits { link_silence_s: 0.4, ..Limits::for_motor(&motor, 20.0) };
     let session = Session::new(constant(4.0, demand), Guard::new(limits, &motor, None));
-    let (summary, recorder) = Course::at(20.0).run(session, &mut link, &mut clock);
+    let (summary, recorder) = TestRun::at(20.0).run(session, &mut link, &mut clock);
     (summary, recorder.events_jsonl(), link.link)
 }
 
@@ -564,17 +564,17 @@ fn a_refusal_ends_the_run_and_a_busy_drive_after_silence() {
 }
 
 #[test]
-fn the_times_of_a_stop_are_no_more_than_is_known() {
+fn unconfirmed_times_of_a_stop_are_not_reported() {
     type Failing = Option<fn(String) -> LinkError>;
     let unanswered = |link: String| timeout(drivebench_link::LinkName(link), "stop");
     let cases: [(Option<Fault>, Failing, &str, bool, bool); 5] = [
         (None, None, "the end of the sequence", true, true),
         (Some(Fault::TripWith(3)), None, "drive fault", true, true),
-        // No request reached a link that is gone; one without an answer may have got it.
+        // No request reached a closed link; a drive that does not answer may have received it.
         (Some(Fault::Gone), Some(gone), "the loss of the link", false, false),
         (Some(Fault::Timeout), Some(unanswered), "link silent", true, false),
-        // A drive that answers and does not obey got the request, and its link is not lost.
-        (Some(Fault::IgnoresStop), Some(disobeyed), "the end of the sequence", true, false),
+        // A drive that answers without stopping received the request, and its link is not lost.
+        (Some(Fault::IgnoresStop), Some(unconfirmed_stop), "the end of the sequence", true, false),
     ];
     for (fault, stop_fails, cause, is_sent, is_confirmed) in cases {
         let mut drive = ScriptedDrive::new(0.01);

@@ -50,7 +50,7 @@ impl From<&LinkError> for Lost {
     }
 }
 
-/// A request of a person, of a signal or of the workflow.
+/// A request of the user, of a signal or of the workflow.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Intent {
     /// Output on at zero, then the program.
@@ -83,7 +83,7 @@ pub enum Level {
     Error,
 }
 
-/// A sentence for the person at the bench.
+/// A sentence for the user.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Notice {
     pub level: Level,

@@ -133,7 +133,7 @@ impl Drive {
         self.sample.as_ref().and_then(|sample| sample.state)
     }
 
-    /// Whether a drive that has to stop since then gets a stop in this cycle too. One with samples does: they confirm it.
+    /// Whether the stop that began at `since_s` is repeated in this cycle: always while samples arrive, which confirm it.
     pub(super) fn repeats_stop(&self, now_s: f64, since_s: f64, requested_s: Option<f64>) -> bool {
         let repeat_s = self.watchdog_s().unwrap_or(TIMES.stop_repeat_s);
         now_s - since_s.max(self.sampled_s) <= repeat_s
@@ -149,11 +149,11 @@ pub(super) enum BrakeMotion {
 
 /// The order of a brake that holds a load: torque, then release; rest, then the brake, then the output off.
 ///
-/// The drive, or a relay on its "running" output, works the brake; the session keeps the order and the times: it holds the load
+/// The drive, or a relay on its "running" output, operates the brake; the session keeps order and times: it holds the load
 /// by torque while the brake opens, and again until it has closed. After a trip the drive's own stop acts, with its brake.
 pub(super) struct BrakeOrder {
     pub(super) brake: Brake,
-    /// What it does, and since when, s.
+    /// The present motion, and its begin, s.
     pub(super) motion: Option<(BrakeMotion, f64)>,
 }
 

@@ -3,11 +3,13 @@ use proptest::prelude::*;
 use super::*;
 use crate::limits::{Limits, Nameplate};
 use crate::mechanics::Brake;
-use crate::testing::{Fault, Lab, ScriptedDrive, Wave, gone, has, refusal, unspoilt, within};
+use crate::testing::{
+    Fault, ScriptedDrive, SessionRig, Wave, gone, has, no_fault, refusal, within,
+};
 use crate::timing::whole;
 use drivebench_emulator::VirtualClock;
 
-type Bench = Lab<ScriptedDrive, fn(usize, Sample) -> Option<Sample>>;
+type Bench = SessionRig<ScriptedDrive, fn(usize, Sample) -> Option<Sample>>;
 
 const EVER: u64 = u64::MAX;
 
@@ -22,7 +24,7 @@ fn session() -> Session {
 }
 
 fn bench(session: Session, drive: ScriptedDrive) -> Bench {
-    Lab::new(session, (drive, VirtualClock::new()), unspoilt)
+    SessionRig::new(session, (drive, VirtualClock::new()), no_fault)
 }
 
 fn idle() -> Bench {
@@ -38,7 +40,7 @@ fn run_with(from: u64, to: u64, fault: Fault) -> Bench {
     run_for(600, from, to, fault)
 }
 
-/// What the run was lost by.
+/// Cause of the trip that ended the run.
 #[track_caller]
 fn lost(bench: &Bench) -> &str {
     match bench.outcome() {
@@ -113,13 +115,13 @@ fn a_silence_is_answered_before_the_next_cycle() {
 }
 
 #[test]
-fn one_lost_reply_costs_nothing_and_a_silent_link_ends_the_run() {
+fn one_lost_reply_has_no_effect_and_a_silent_link_ends_the_run() {
     let one = run_with(60, 61, Fault::Timeout);
     assert_eq!(one.outcome(), Some(&Outcome::Done));
     assert_eq!(events(&one, "reply_lost").len(), 1);
     let silent = run_with(60, EVER, Fault::Timeout);
     lost(&silent);
-    // Link silence is 100 ms: ten cycles, and one to find out.
+    // Link silence is 100 ms: ten cycles, and one for its detection.
     assert_eq!(silent.energised_from(72), 0);
     // The run stays aborted although the link comes back.
     let back = run_with(60, 80, Fault::Timeout);
@@ -159,7 +161,7 @@ fn the_first_stop_ramps_down_and_the_second_is_immediate() {
 }
 
 #[test]
-fn a_stop_while_the_motor_coasts_switches_nothing_on() {
+fn a_stop_while_the_motor_coasts_keeps_the_output_off() {
     let coasts =
         session_of(
             5.0,
@@ -186,14 +188,14 @@ fn a_stop_ramps_any_output_to_zero_before_it_goes_off() {
         let spins: fn(usize, Sample) -> Option<Sample> =
             |sent, sample| Some(if sent < 61 { sample } else { sample.with(Channel::Speed, 20.0) });
         let link = (ScriptedDrive::new(0.01), VirtualClock::new());
-        let mut bench = Lab::new(session_of(5.0, demand), link, spins).started(60);
-        let asked = bench.link.demands.last().copied().unwrap();
-        assert_eq!(bench.session.phase(), Phase::Running, "{asked:?}");
+        let mut bench = SessionRig::new(session_of(5.0, demand), link, spins).started(60);
+        let demand = bench.link.demands.last().copied().unwrap();
+        assert_eq!(bench.session.phase(), Phase::Running, "{demand:?}");
         bench.ask(Intent::Stop);
         bench.cycles(1);
-        assert_eq!(bench.session.phase(), Phase::RampDown, "{asked:?}");
+        assert_eq!(bench.session.phase(), Phase::RampDown, "{demand:?}");
         let next = bench.link.demands.last().unwrap();
-        assert!(next.energises(), "{asked:?}: {next:?}");
+        assert!(next.energises(), "{demand:?}: {next:?}");
     }
 }
 
@@ -278,7 +280,7 @@ fn an_unconfirmed_stop_is_repeated_and_reported() {
 }
 
 /// A session that gives its drive 10 s to stop, after 600 cycles.
-fn patient(from: u64, to: u64, fault: Fault) -> Bench {
+fn slow_to_stop(from: u64, to: u64, fault: Fault) -> Bench {
     let times = CommandTimes { stop_s: 10.0, ..CommandTimes::default() };
     let drive = ScriptedDrive::new(0.01).with(from, to, fault);
     bench(session().with_command_times(times), drive).started(600)
@@ -286,10 +288,10 @@ fn patient(from: u64, to: u64, fault: Fault) -> Bench {
 
 #[test]
 fn a_slow_ramp_is_waited_for_and_a_silent_drive_is_not() {
-    let slow = patient(60, 500, Fault::IgnoresStop);
+    let slow = slow_to_stop(60, 500, Fault::IgnoresStop);
     assert_eq!(slow.outcome(), Some(&Outcome::Done));
     assert_eq!(slow.session.stop_notice(None), None);
-    let silent = patient(60, EVER, Fault::Timeout);
+    let silent = slow_to_stop(60, EVER, Fault::Timeout);
     lost(&silent);
     within(stops(&silent) as f64, 99.0..110.0);
 }
@@ -305,12 +307,12 @@ fn a_busy_drive_gets_its_stop_often_and_then_seldom() {
     has(lost(&busy), "requests refused: no valid reply for 0.1");
     has(lost(&busy), "the command: exception 0x06 device busy");
     assert_eq!(events(&busy, "refused_for_now").len(), busy.link.demands.len() - 60);
-    // 0.2 s of cycles, and then in 1.8 s once in 0.3 s.
+    // Every cycle for 0.2 s, then every 0.3 s for 1.8 s.
     within(stops(&busy) as f64, 20.0..28.0);
     let notice = busy.session.stop_notice(Some(&refusal("script:".to_owned(), 6))).unwrap();
     has(&notice.text, "it answers: script: the drive refused");
     has(&notice.text, "its watchdog stops the motor 0.2 s after");
-    // After an illegal request it gets as few, although the allowed silence is over by then.
+    // As many after an illegal request, although the allowed silence is over by then.
     let illegal = refused(2);
     has(lost(&illegal), "illegal data address");
     within(stops(&illegal) as f64, 20.0..28.0);

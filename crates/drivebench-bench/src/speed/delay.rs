@@ -30,7 +30,7 @@ pub struct LoopDelay {
 /// Pairs samples with the commands that were computed from them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct DelayMeter {
-    /// Sequence number and stamp of the sample behind it.
+    /// Sequence number of a command, and time stamp of the sample from which it was computed.
     waiting: VecDeque<(u64, f64)>,
     delays_s: Vec<f64>,
 }

@@ -21,6 +21,6 @@ mod tests;
 pub use delay::{LoopDelay, measure_delay};
 pub use pilot::{PilotSettings, SpeedPilot};
 pub use reference::{Reference, ReferenceError, ReferencePart, ReferenceStep};
-pub use regulator::{Design, Regulator, RegulatorError, check_kinship, timing};
+pub use regulator::{Design, Regulator, RegulatorError, check_motor, timing};
 pub use report::{GainChange, SpeedReport, StepFigures, Tracking, Watched};
 pub use section::{ControllerKind, ForwardUse, GainsSection, SpeedSection};

@@ -4,7 +4,7 @@ use super::delay::DelayMeter;
 use super::reference::Reference;
 use super::regulator::Regulator;
 use super::report::{Cycle, GainChange, SpeedReport, Watched, adaptation_csv, figures, tracking};
-use crate::pilot::{Pilot, PilotNews};
+use crate::pilot::{Pilot, PilotEvent};
 use crate::trip::{Trip, TripKind};
 use drivebench_control::{Adapted, Finding, LoopWatch, Measured, SpeedController};
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
@@ -32,14 +32,14 @@ pub struct SpeedPilot {
     encoder_proven: bool,
     meter: DelayMeter,
     reference_rad_s: Option<f64>,
-    /// The sample for the next step, and when it came.
+    /// The sample for the next step, and its time since the begin of the run, s.
     fresh: Option<Sample>,
-    came_s: f64,
+    sampled_s: f64,
     /// Time stamp and speed of the sample of the last step.
     stepped: Option<(f64, f64)>,
     /// Host time of the last sample with a speed.
     speed_at_s: f64,
-    /// The controller has not got the output after all limits.
+    /// The output after all limits is still to be passed to the controller, for its anti-windup.
     is_output_due: bool,
     wanted: f64,
     output: f64,
@@ -67,7 +67,7 @@ impl SpeedPilot {
             meter: DelayMeter::default(),
             reference_rad_s: None,
             fresh: None,
-            came_s: 0.0,
+            sampled_s: 0.0,
             stepped: None,
             speed_at_s: 0.0,
             is_output_due: false,
@@ -111,8 +111,10 @@ impl SpeedPilot {
         };
         self.switch_pass(elapsed_s, &now);
         self.supervise(now_s, reference, &now, period_s)?;
-        let (all, came_s) = (&self.reference, self.came_s);
-        self.regulator.passes[self.pass].1.preview(&|ahead_s: f64| all.value_at(came_s + ahead_s));
+        let (all, sampled_s) = (&self.reference, self.sampled_s);
+        self.regulator.passes[self.pass]
+            .1
+            .preview(&|ahead_s: f64| all.value_at(sampled_s + ahead_s));
         self.wanted = self.controller().step(reference, &now, period_s);
         if let Some(adapted) = self.controller().adapted()
             && self.adaptation.len() < RECORD_MAX
@@ -141,7 +143,7 @@ impl SpeedPilot {
         now: &Measured,
         period_s: f64,
     ) -> Result<(), Trip> {
-        let (limited, speed_rad_s) = (now.limited || self.is_cut(), now.speed_rad_s);
+        let (limited, speed_rad_s) = (now.limited || self.is_clipped(), now.speed_rad_s);
         let Some(finding) = self.watch.push(reference_rad_s, speed_rad_s, limited) else {
             return Ok(());
         };
@@ -203,7 +205,7 @@ impl SpeedPilot {
                     "and this controller has no gains that could fall"
                 };
                 let reason = format!(
-                    "{} and does not stop, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or backlash belongs into it; addc follows an inertia that changed), or a faster link",
+                    "{} and does not stop, {why}; {most_rad_s:.1} rad/s are allowed; take addc or pi, tuned on a model that was identified on this machine (a coupling or backlash belongs in it; addc follows an inertia that changed), or a faster link",
                     about(amplitude_rad_s)
                 );
                 ("swings_on", amplitude_rad_s, reason)
@@ -218,8 +220,8 @@ impl SpeedPilot {
         }
     }
 
-    /// Whether a limit on this side cut the last output.
-    fn is_cut(&self) -> bool {
+    /// Whether a limit of the host clipped the last output.
+    fn is_clipped(&self) -> bool {
         (self.wanted - self.output).abs() > 1e-9 * self.wanted.abs().max(1.0)
     }
 
@@ -276,7 +278,7 @@ impl Pilot for SpeedPilot {
         self.encoder_proven = false;
         self.watch = watch_of(&self.regulator, self.pass);
         self.fresh = sample.cloned();
-        self.came_s = 0.0;
+        self.sampled_s = 0.0;
         self.stepped = None;
         self.speed_at_s = now_s;
         (self.output, self.wanted) = (output, output);
@@ -326,14 +328,14 @@ impl Pilot for SpeedPilot {
         };
         self.speed_at_s = now_s;
         self.fresh = Some(sample.clone());
-        self.came_s = elapsed_s;
+        self.sampled_s = elapsed_s;
         if self.record.len() < RECORD_MAX {
             self.record.push(Cycle {
                 time_s: elapsed_s,
                 reference_rad_s: self.reference.value_at(elapsed_s),
                 speed_rad_s,
                 output: self.output,
-                limited: sample.limited || self.is_cut(),
+                limited: sample.limited || self.is_clipped(),
             });
         }
     }
@@ -342,15 +344,15 @@ impl Pilot for SpeedPilot {
         self.reference_rad_s
     }
 
-    fn news(&mut self) -> Option<PilotNews> {
+    fn next_event(&mut self) -> Option<PilotEvent> {
         if let Some(found) = self.unlogged.take() {
-            return Some(PilotNews::Watch(found));
+            return Some(PilotEvent::Watch(found));
         }
-        let reason = self.controller().news()?;
+        let reason = self.controller().gain_change()?;
         if self.changes.len() < CHANGES_MAX {
             self.changes.push(GainChange { time_s: self.elapsed_s, reason: reason.clone() });
         }
-        Some(PilotNews::Gains(reason))
+        Some(PilotEvent::Gains(reason))
     }
 
     fn report(&self) -> Option<SpeedReport> {

@@ -111,12 +111,12 @@ impl ReferencePart {
     /// The first value that is not allowed, whatever the motor: `(key, value, allowed)`.
     fn refused(&self) -> Option<(&'static str, f64, &'static str)> {
         let time = |key, value: f64| {
-            let good = value > 0.0 && value <= LONGEST_S;
-            (!good).then_some((key, value, "more than 0 s, up to 86400 s"))
+            let is_allowed = value > 0.0 && value <= LONGEST_S;
+            (!is_allowed).then_some((key, value, "more than 0 s, up to 86400 s"))
         };
         let count = |key, number: usize, least: usize| {
-            let good = (least..=10_000).contains(&number);
-            (!good).then_some((key, number as f64, "enough of them, at most 10000"))
+            let is_allowed = (least..=10_000).contains(&number);
+            (!is_allowed).then_some((key, number as f64, "enough of them, at most 10000"))
         };
         let mut speeds = self.speeds().into_iter();
         if let Some((key, value)) = speeds.find(|(_, speed)| !speed.is_finite()) {
@@ -147,14 +147,14 @@ impl ReferencePart {
 
     /// Lines `(length, from, to)`.
     fn lines(&self) -> Vec<(f64, f64, f64)> {
-        let held = |level: &f64, seconds: f64| (seconds, *level, *level);
+        let level_for = |level: &f64, seconds: f64| (seconds, *level, *level);
         match self {
-            Self::Constant { speed_rad_s, seconds } => vec![held(speed_rad_s, *seconds)],
+            Self::Constant { speed_rad_s, seconds } => vec![level_for(speed_rad_s, *seconds)],
             Self::Steps { levels_rad_s, hold_s } => {
-                levels_rad_s.iter().map(|level| held(level, *hold_s)).collect()
+                levels_rad_s.iter().map(|level| level_for(level, *hold_s)).collect()
             }
             Self::Square { low_rad_s, high_rad_s, half_period_s, periods } => {
-                let period = [high_rad_s, low_rad_s].map(|level| held(level, *half_period_s));
+                let period = [high_rad_s, low_rad_s].map(|level| level_for(level, *half_period_s));
                 period.repeat(*periods as usize)
             }
             Self::Ramp { from_rad_s, to_rad_s, seconds } => {

@@ -1,4 +1,4 @@
-//! From a model, the measured timing and `[speed]` to a controller and its limiter, or to the reason why not.
+//! Design of the controller and its limiter from a model, the measured timing and `[speed]`.
 
 use thiserror::Error;
 
@@ -7,10 +7,10 @@ use crate::limits::{Limits, Nameplate};
 use crate::timing::whole;
 use drivebench_control::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
 use drivebench_control::{
-    Actuator, Addc, AddcSettings, AntiWindup, Compensated, Course, CurrentLimit, FeedForward,
-    Holding, Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming,
-    Mrac, MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
-    SpeedController, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
+    Actuator, Addc, AddcSettings, AntiWindup, Compensated, CurrentLimit, FeedForward, Holding,
+    Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming, Mrac,
+    MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
+    SpeedController, TrialInputs, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
 };
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey, TorqueMap};
@@ -93,7 +93,7 @@ pub enum RegulatorError {
     )]
     OtherMotor { key: &'static str, value: f64, low: f64, high: f64 },
     #[error(
-        "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay{})", behind(*coupling_hz)
+        "speed.gains.proportional_v_s_per_rad = {value} is not allowed (expected up to {most:.4} with {cycles:.2} cycles of delay{})", with_coupling(*coupling_hz)
     )]
     Gain { value: f64, most: f64, cycles: f64, coupling_hz: Option<f64> },
     #[error(
@@ -115,17 +115,17 @@ pub enum RegulatorError {
     #[error("speed.feed_forward: nothing can be fed forward {why}")]
     NothingForward { why: &'static str },
     #[error(
-        "the {name} map asks for {value:.3} N.m (expected up to the {most:.3} N.m of the loop's current limit)"
+        "the {name} map needs {value:.3} N.m (expected up to the {most:.3} N.m of the loop's current limit)"
     )]
     Map { name: &'static str, value: f64, most: f64 },
     #[error(
-        "{controller}: with {cycles:.2} cycles of delay{} the loop still oscillates by {swing:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", behind(*coupling_hz)
+        "{controller}: with {cycles:.2} cycles of delay{} the loop still oscillates by {oscillation_rad_s:.1} rad/s after a step of {step:.1} rad/s (expected below {most:.1})", with_coupling(*coupling_hz)
     )]
-    Swings {
+    Oscillates {
         controller: &'static str,
         cycles: f64,
         coupling_hz: Option<f64>,
-        swing: f64,
+        oscillation_rad_s: f64,
         step: f64,
         most: f64,
     },
@@ -152,32 +152,32 @@ impl RegulatorError {
             }
             Self::NothingForward { .. } => "leave --feed-forward out",
             Self::Map { .. } => "take the map of this motor, in N.m",
-            Self::Swings { coupling_hz: Some(_), .. } => {
-                "ask for less (speed.bandwidth_rad_s), take addc or pi, which are tuned for the coupling, or stiffen it"
+            Self::Oscillates { coupling_hz: Some(_), .. } => {
+                "lower speed.bandwidth_rad_s, take addc or pi, which are tuned for the coupling, or stiffen it"
             }
-            Self::Swings { .. } => {
+            Self::Oscillates { .. } => {
                 "take addc or pi, which are tuned for the delay, or a faster link"
             }
         }
     }
 }
 
-fn behind(coupling_hz: Option<f64>) -> String {
+fn with_coupling(coupling_hz: Option<f64>) -> String {
     coupling_hz.map_or_else(String::new, |hertz| format!(" and the coupling at {hertz:.1} Hz"))
 }
 
 /// Refuses a model of another motor: gains tuned on one are not for another.
-pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorError> {
+pub fn check_motor(model: &Model, motor: &Nameplate) -> Result<(), RegulatorError> {
     let name = &model.motor.name;
     if !name.is_empty() && *name != motor.name {
         return Err(RegulatorError::OtherName { model: name.clone(), bench: motor.name.clone() });
     }
     let (resistance, back_emf) = (motor.resistance_ohm, motor.back_emf_v_s_per_rad);
-    for (key, plate, factor) in [
+    for (key, nameplate, factor) in [
         (MotorKey::Resistance, resistance, SETTINGS.resistance_factor),
         (MotorKey::BackEmf, back_emf, SETTINGS.back_emf_factor),
     ] {
-        let (low, high) = (plate / factor, plate * factor);
+        let (low, high) = (nameplate / factor, nameplate * factor);
         // Missing or unphysical values are refused with the plant.
         let value = model.motor.get(key).filter(|value| *value > 0.0);
         if let Some(value) = value.filter(|value| !(low..=high).contains(value)) {
@@ -190,10 +190,10 @@ pub fn check_kinship(model: &Model, motor: &Nameplate) -> Result<(), RegulatorEr
 /// The loop's timing: the measured delay of the link, and the delays and filters of the model.
 pub fn timing(model: &Model, period_s: f64, link_delay_s: f64) -> LoopTiming {
     let path = model.known_path();
-    let behind_s = path.command_delay_s + path.speed_delay_s;
+    let path_s = path.command_delay_s + path.speed_delay_s;
     LoopTiming {
         period_s,
-        delay_s: link_delay_s + behind_s.max(0.0),
+        delay_s: link_delay_s + path_s.max(0.0),
         filter_s: path.speed_filter_s.max(0.0),
     }
 }
@@ -208,7 +208,7 @@ impl Design<'_> {
     /// # Errors
     /// A model that is not physical or of another motor, a loop that the link cannot carry, gains outside their bounds.
     pub fn regulator(&self) -> Result<Regulator, RegulatorError> {
-        check_kinship(self.model, self.motor)?;
+        check_motor(self.model, self.motor)?;
         self.check_kind()?;
         let viscous = viscous_n_m_s_per_rad(self.model, self.actuator)?;
         let (plants, mut reasons) = self.plants()?;
@@ -224,7 +224,7 @@ impl Design<'_> {
                 self.section.controller,
                 ControllerKind::PaperB | ControllerKind::LoadObserver | ControllerKind::Mrac
             );
-            // Behind a coupling limits and backlash act, which are not in the margins of a linear loop.
+            // The margins of a linear loop contain neither limits nor the backlash of a coupling.
             let is_coupled = plants.nominal.coupling().is_some();
             if has_no_margins || (is_coupled && self.actuator == Actuator::Voltage) {
                 self.simulate(&plants.nominal, controller.as_mut(), &limiter, viscous)?;
@@ -252,20 +252,20 @@ impl Design<'_> {
     /// The plant with its draws, and the assumptions about it.
     fn plants(&self) -> Result<(Plants, Vec<String>), RegulatorError> {
         let lag_s = self.section.drive_lag_s;
-        let (taken_s, reason) = match self.actuator {
+        let (drive_lag_s, reason) = match self.actuator {
             Actuator::Voltage => (0.0, None),
             Actuator::Current => {
-                let taken_s = lag_s.unwrap_or(SETTINGS.current_lag_s);
+                let drive_lag_s = lag_s.unwrap_or(SETTINGS.current_lag_s);
                 let reason = format!(
                     "the drive's current loop is taken for a lag of {:.1} ms ({})",
-                    1e3 * taken_s,
+                    1e3 * drive_lag_s,
                     lag_s.map_or("speed.drive_lag_s is not given", |_| "speed.drive_lag_s")
                 );
-                (taken_s, Some(reason))
+                (drive_lag_s, Some(reason))
             }
             Actuator::Speed => (lag_s.ok_or(RegulatorError::NoLag)?, None),
         };
-        let of = |model: &Model| LinearPlant::of(model, self.actuator, taken_s);
+        let of = |model: &Model| LinearPlant::of(model, self.actuator, drive_lag_s);
         let nominal = of(self.model)?;
         let draws = match self.actuator {
             // The plant is the drive's own loop, of which nothing was fitted.
@@ -446,7 +446,7 @@ impl Design<'_> {
     }
 
     fn limiter(&self) -> Limiter {
-        let value = |key, plate| self.model.motor.get(key).unwrap_or(plate);
+        let value = |key, nameplate| self.model.motor.get(key).unwrap_or(nameplate);
         let output = match self.actuator {
             Actuator::Voltage => self.limits.voltage_v,
             Actuator::Current => self.current_limit_a(),
@@ -461,7 +461,7 @@ impl Design<'_> {
         Limiter { output, current }
     }
 
-    /// Simulates two steps, the delay rounded up to whole cycles: what oscillates there does not get to the motor.
+    /// Simulates two steps, the delay rounded up to whole cycles; refuses a controller that oscillates there.
     fn simulate(
         &self,
         plant: &LinearPlant,
@@ -469,7 +469,7 @@ impl Design<'_> {
         limiter: &Limiter,
         viscous: f64,
     ) -> Result<(), RegulatorError> {
-        let value = |key, plate| self.model.motor.get(key).unwrap_or(plate);
+        let value = |key, nameplate| self.model.motor.get(key).unwrap_or(nameplate);
         let ke = value(MotorKey::BackEmf, self.motor.back_emf_v_s_per_rad);
         let inertia = value(MotorKey::Inertia, self.motor.inertia_kg_m2);
         let machine = TrialMachine {
@@ -490,15 +490,15 @@ impl Design<'_> {
         let step = SETTINGS.simulated_step * high;
         let cycles = SETTINGS.simulated_cycles;
         let half_s = 0.5 * cycles as f64 * self.timing.period_s;
-        let course = Course {
+        let inputs = TrialInputs {
             reference_rad_s: &|t| if t < half_s { high } else { high - step },
             inertia_kg_m2: &|_| inertia,
             load_n_m: &|_| 0.0,
         };
-        let trace = trial(&machine, &course, controller, limiter, cycles, 1);
+        let trace = trial(&machine, &inputs, controller, limiter, cycles, 1);
         let speeds = trace[cycles * 9 / 10..].iter().map(|point| point.speed_rad_s);
-        // A loop with margins may drift: it is slow. Without margins this is all that is known of the loop.
-        let swing = match self.section.controller {
+        // A slow loop with margins may still drift here; of one without margins any change counts.
+        let oscillation_rad_s = match self.section.controller {
             ControllerKind::Pi | ControllerKind::Addc => oscillation(speeds),
             ControllerKind::Mrac | ControllerKind::PaperB | ControllerKind::LoadObserver => {
                 let (low, high) = extent(speeds);
@@ -512,14 +512,14 @@ impl Design<'_> {
         };
         let most = share * step;
         // False for NaN.
-        if swing <= most {
+        if oscillation_rad_s <= most {
             return Ok(());
         }
-        Err(RegulatorError::Swings {
+        Err(RegulatorError::Oscillates {
             controller: self.section.controller.id(),
             cycles: self.timing.delay_cycles(),
             coupling_hz: plant.coupling().map(|coupling| coupling.frequency_hz),
-            swing,
+            oscillation_rad_s,
             step,
             most,
         })

@@ -126,8 +126,7 @@ fn cycles(record: &[Cycle], from_s: f64, until_s: f64) -> Option<&[Cycle]> {
 
 /// Within 0.1 s of the instants at which the reference changes its direction.
 fn around_reversals(cycles: &[Cycle]) -> impl Iterator<Item = &Cycle> {
-    let turning = cycles.iter().filter(|cycle| cycle.reference_rad_s != 0.0);
-    let mut turning = turning.peekable();
+    let mut turning = cycles.iter().filter(|cycle| cycle.reference_rad_s != 0.0).peekable();
     let mut at_s = Vec::new();
     while let (Some(before), Some(after)) = (turning.next(), turning.peek()) {
         if before.reference_rad_s * after.reference_rad_s < 0.0 {

@@ -33,8 +33,8 @@ impl ControllerKind {
         }
     }
 
-    /// Behind a speed command the drive's own loop hides the inertia that ADDC would follow; the
-    /// others are models of a voltage and its winding.
+    /// Through a speed command the inertia is not observable, which ADDC adapts to; the other regulators are designed for the
+    /// voltage of a winding.
     pub const fn actuators(self) -> &'static [Actuator] {
         match self {
             Self::Pi => &[Actuator::Voltage, Actuator::Current, Actuator::Speed],
@@ -89,7 +89,7 @@ pub struct SpeedSection {
     pub controller: ControllerKind,
     /// Left out: the modulus optimum, and the symmetrical one for a current command, behind which the shaft integrates.
     pub rule: Option<Rule>,
-    /// Closed-loop bandwidth; left out: what the rule makes of the loop's small time constant.
+    /// Closed-loop bandwidth; left out: that of the rule, by the sum of the small time constants.
     pub bandwidth_rad_s: Option<f64>,
     pub current_limit_a: Option<f64>,
     pub slew_v_per_s: Option<f64>,
@@ -99,7 +99,7 @@ pub struct SpeedSection {
     pub drive_lag_s: Option<f64>,
     #[serde(default)]
     pub feed_forward: ForwardUse,
-    /// The frequency of a coupling is not taken out: the loop is slowed down instead.
+    /// No notch filter at the frequency of a coupling: the bandwidth is reduced instead.
     #[serde(default)]
     pub no_notch: bool,
     /// Only for `pi` over a voltage: instead of a rule.
@@ -107,7 +107,7 @@ pub struct SpeedSection {
     pub reference: Vec<ReferencePart>,
 }
 
-/// A value of the section that is not allowed: key, value and what is.
+/// A value of the section that is not allowed: key, value and what is allowed.
 type Refused = (&'static str, f64, String);
 
 impl SpeedSection {
@@ -168,8 +168,8 @@ impl SpeedSection {
             .or_else(|| positive("speed.gains.integral_time_s", integral_time_s))
     }
 
-    /// The checked reference, once for each pass, within the speed limit and the reach of the voltage limit. Before each of
-    /// several passes its first level is held for a second, or for half a second beyond the way there at the current limit.
+    /// The checked reference, once for each pass, within the speed limit and the speed at the voltage limit. Before each of
+    /// several passes its first level is held for a second, or for half a second after the acceleration at the current limit.
     pub fn reference(
         &self,
         limits: &Limits,
@@ -223,7 +223,7 @@ mod tests {
         section(ReferencePart::Constant { speed_rad_s, seconds: 1.0 })
     }
 
-    fn plate() -> (Nameplate, Limits) {
+    fn nameplate() -> (Nameplate, Limits) {
         let motor = Nameplate::zk_22fc();
         let limits = Limits::for_motor(&motor, 100.0);
         (motor, limits)
@@ -231,7 +231,7 @@ mod tests {
 
     #[test]
     fn a_reference_beyond_a_limit_is_refused_with_it() {
-        let (motor, mut limits) = plate();
+        let (motor, mut limits) = nameplate();
         let at = |speed, limits: &Limits| constant(speed).reference(limits, Some(&motor));
         assert!(at(-300.0, &limits).is_ok());
         // (110 V - 1.1 ohm 0.455 N.m/Kt)/Ke
@@ -242,7 +242,7 @@ mod tests {
 
     #[test]
     fn a_comparison_follows_the_reference_twice() {
-        let (motor, limits) = plate();
+        let (motor, limits) = nameplate();
         let mut section =
             section(ReferencePart::Ramp { from_rad_s: 20.0, to_rad_s: 80.0, seconds: 3.0 });
         section.feed_forward = ForwardUse::Compare;
@@ -272,7 +272,7 @@ mod tests {
 
     #[test]
     fn a_current_beyond_the_guard_is_refused() {
-        let (_, limits) = plate();
+        let (_, limits) = nameplate();
         let mut section = constant(10.0);
         assert_eq!(section.refused(&limits), None);
         near(section.current_limit_a(5.7, &limits), 8.55, 1e-12);

@@ -6,7 +6,8 @@ use crate::bench_file::BenchFile;
 use crate::guard::Guard;
 use crate::session::{Intent, Outcome, Phase, Session};
 use crate::testing::{
-    Lab, ScriptedDrive, exact, has, in_memory, near, speed_design, speed_session, unspoilt, within,
+    ScriptedDrive, SessionRig, exact, has, in_memory, near, no_fault, speed_design, speed_session,
+    within,
 };
 use crate::trip::TripKind;
 use drivebench_control::Actuator;
@@ -41,17 +42,17 @@ fn session(bench: &BenchFile, model: &Model) -> Session {
     speed_session(bench, &design, Guard::new(limits.clone(), &motor, Some(11.4)))
 }
 
-type MemoryLab<F> = Lab<MemoryLink, F>;
+type MemoryRig<F> = SessionRig<MemoryLink, F>;
 
-/// The embedded bench on its own motor, with faults of the drive and replies spoilt on the way.
-fn lab<F: FnMut(usize, Sample) -> Option<Sample>>(faults: FaultsConfig, spoil: F) -> MemoryLab<F> {
+/// The embedded bench on its own motor, with faults of the drive and of the replies.
+fn rig<F: FnMut(usize, Sample) -> Option<Sample>>(faults: FaultsConfig, fault: F) -> MemoryRig<F> {
     let config = EmulatorConfig { faults, ..exact("zk-22fc-plain") };
     let bench = bench();
-    Lab::new(session(&bench, &baseline(&bench)), in_memory(&config, 1), spoil)
+    SessionRig::new(session(&bench, &baseline(&bench)), in_memory(&config, 1), fault)
 }
 
-fn healthy_lab() -> MemoryLab<impl FnMut(usize, Sample) -> Option<Sample>> {
-    lab(FaultsConfig::default(), unspoilt)
+fn healthy_rig() -> MemoryRig<impl FnMut(usize, Sample) -> Option<Sample>> {
+    rig(FaultsConfig::default(), no_fault)
 }
 
 /// This motor under a bench file and a model, from the start for so many cycles.
@@ -61,15 +62,15 @@ fn started(
     bench: &BenchFile,
     model: &Model,
     cycles: u32,
-) -> MemoryLab<impl FnMut(usize, Sample) -> Option<Sample> + use<>> {
-    Lab::new(session(bench, model), in_memory(config, seed), unspoilt).started(cycles)
+) -> MemoryRig<impl FnMut(usize, Sample) -> Option<Sample> + use<>> {
+    SessionRig::new(session(bench, model), in_memory(config, seed), no_fault).started(cycles)
 }
 
 #[test]
 fn a_healthy_loop_follows_its_steps_to_the_end() {
-    let lab = healthy_lab().started(1600);
-    assert_eq!(lab.outcome(), Some(&Outcome::Done));
-    let report = lab.session.report().unwrap();
+    let rig = healthy_rig().started(1600);
+    assert_eq!(rig.outcome(), Some(&Outcome::Done));
+    let report = rig.session.report().unwrap();
     assert_eq!((report.controller, report.steps.len()), ("addc", 6));
     near(report.delay.unwrap().median_cycles, 1.0, 0.01);
     assert_eq!(report.held_cycles, 0);
@@ -77,51 +78,50 @@ fn a_healthy_loop_follows_its_steps_to_the_end() {
         within(step.response.overshoot_percent, ..10.0);
         within(step.response.settling_s.unwrap(), ..0.6);
     }
-    // Current through the winding within the controller's limit, but for noise and what the speed does within a cycle.
-    within(lab.largest(Channel::Current), ..11.0);
+    // Current through the winding within the controller's limit, but for noise and the change of the speed within a cycle.
+    within(rig.largest(Channel::Current), ..11.0);
 }
 
 /// The voltage of the first held command holds the one before to the bit.
 #[track_caller]
 fn are_held(volts: &[f64], held: std::ops::Range<usize>) {
     let before = volts[held.start - 1].to_bits();
-    let mut held = volts[held].iter();
-    assert!(held.all(|volts| volts.to_bits() == before), "{volts:?}");
+    assert!(volts[held].iter().all(|volts| volts.to_bits() == before), "{volts:?}");
 }
 
 #[test]
 fn a_lost_reply_holds_the_last_output_and_the_loop_goes_on() {
-    let spoil = |n, sample| (!(60..64).contains(&n)).then_some(sample);
-    let mut lab = lab(FaultsConfig::default(), spoil).started(67);
-    let volts = lab.volts();
+    let fault = |n, sample| (!(60..64).contains(&n)).then_some(sample);
+    let mut rig = rig(FaultsConfig::default(), fault).started(67);
+    let volts = rig.volts();
     // The reply to command 60 is lost: commands 61 to 64 repeat it, 65 is a new one.
     are_held(&volts, 60..64);
     assert_ne!(volts[64].to_bits(), volts[63].to_bits(), "{volts:?}");
-    lab.cycles(1600);
-    assert_eq!(lab.outcome(), Some(&Outcome::Done));
-    assert_eq!(lab.session.report().unwrap().held_cycles, 4);
+    rig.cycles(1600);
+    assert_eq!(rig.outcome(), Some(&Outcome::Done));
+    assert_eq!(rig.session.report().unwrap().held_cycles, 4);
 }
 
 #[test]
 fn silence_beyond_the_limit_stops() {
-    let spoil = |n, sample| (n < 60).then_some(sample);
-    let lab = lab(FaultsConfig::default(), spoil).started(300);
+    let fault = |n, sample| (n < 60).then_some(sample);
+    let rig = rig(FaultsConfig::default(), fault).started(300);
     // 0.45 s of silence, then stop in every cycle.
-    let stop = lab.sent.iter().position(|command| command.demand == Demand::Stop);
+    let stop = rig.sent.iter().position(|command| command.demand == Demand::Stop);
     assert!((103..=107).contains(&stop.unwrap()), "{stop:?}");
-    assert!(matches!(lab.outcome(), Some(Outcome::LinkLost { .. })));
+    assert!(matches!(rig.outcome(), Some(Outcome::LinkLost { .. })));
 }
 
 #[test]
 fn a_missing_speed_is_held_and_after_three_the_loop_stops() {
     let without_speed_until = |to: usize| {
-        let spoil = move |n, mut sample: Sample| {
+        let fault = move |n, mut sample: Sample| {
             if (60..to).contains(&n) {
                 sample.set(Channel::Speed, f64::NAN);
             }
             Some(sample)
         };
-        lab(FaultsConfig::default(), spoil).started(80)
+        rig(FaultsConfig::default(), fault).started(80)
     };
     let two = without_speed_until(62);
     let volts = two.volts();
@@ -148,21 +148,21 @@ fn a_reversed_or_frozen_encoder_is_stopped() {
             encoder_frozen_from_s: frozen_from_s,
             ..FaultsConfig::default()
         };
-        let lab = lab(faults, unspoilt).started(600);
-        let (found, reason) = lab.trip();
+        let rig = rig(faults, no_fault).started(600);
+        let (found, reason) = rig.trip();
         assert_eq!(found, kind, "{name}: {reason}");
-        let after = lab.energised_from(0) as f64 - frozen_from_s.unwrap_or(0.0) / PERIOD_S;
+        let after = rig.energised_from(0) as f64 - frozen_from_s.unwrap_or(0.0) / PERIOD_S;
         assert!(after < most_cycles, "{name}: {after} cycles, {reason}");
-        assert!(lab.largest(Channel::Speed) < most_rad_s, "{name}: {reason}");
+        assert!(rig.largest(Channel::Speed) < most_rad_s, "{name}: {reason}");
     }
     for frozen in [false, true] {
         let bench = over(Actuator::Current, |section| section.controller = ControllerKind::Pi);
         let mut config = exact("zk-22fc-plain");
         config.faults.encoder_reversed = !frozen;
         config.faults.encoder_frozen_from_s = frozen.then_some(1.0);
-        let lab = started(&config, 1, &bench, &baseline(&bench), 1800);
-        let (kind, reason) = lab.trip();
-        within(lab.largest(Channel::Speed), ..340.0);
+        let rig = started(&config, 1, &bench, &baseline(&bench), 1800);
+        let (kind, reason) = rig.trip();
+        within(rig.largest(Channel::Speed), ..340.0);
         assert_eq!(kind == EncoderFrozen, frozen, "over a current: {reason}");
     }
 }
@@ -191,42 +191,42 @@ fn a_loop_with_a_broken_signal_stops_and_names_it() {
     ];
     for (change, kinds, most_cycles) in cases {
         // At the 150th exchange it follows 110 rad/s; the next step comes at 2 s.
-        let spoil = move |n, mut sample: Sample| {
+        let fault = move |n, mut sample: Sample| {
             if n >= 150 {
                 change(&mut sample);
             }
             Some(sample)
         };
-        let lab = lab(FaultsConfig::default(), spoil).started(400);
-        let (kind, cycles) = (lab.trip().0, lab.energised_from(0));
+        let rig = rig(FaultsConfig::default(), fault).started(400);
+        let (kind, cycles) = (rig.trip().0, rig.energised_from(0));
         assert!(kinds.contains(&kind) && cycles < most_cycles, "{kinds:?}: {kind:?} {cycles}");
     }
 }
 
 #[test]
-fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
-    let mut lab = healthy_lab().started(150);
-    within(lab.largest(Channel::Speed), 80.0..);
-    let first: Vec<f64> = lab.volts()[3..40].to_vec();
-    lab.ask(Intent::Stop);
-    lab.cycles(300);
-    assert_eq!(lab.outcome(), Some(&Outcome::Stopped));
-    lab.session = healthy_lab().session;
-    lab.cycles(3);
-    assert_eq!(lab.session.phase(), Phase::Safe);
-    let before = lab.sent.len();
-    lab.ask(Intent::Start);
+fn a_second_start_begins_at_rest_without_states_of_the_first() {
+    let mut rig = healthy_rig().started(150);
+    within(rig.largest(Channel::Speed), 80.0..);
+    let first: Vec<f64> = rig.volts()[3..40].to_vec();
+    rig.ask(Intent::Stop);
+    rig.cycles(300);
+    assert_eq!(rig.outcome(), Some(&Outcome::Stopped));
+    rig.session = healthy_rig().session;
+    rig.cycles(3);
+    assert_eq!(rig.session.phase(), Phase::Safe);
+    let before = rig.sent.len();
+    rig.ask(Intent::Start);
     let mut references = Vec::new();
     for _ in 0..40 {
-        lab.cycles(1);
-        if lab.session.phase() == Phase::Running {
-            references.push(lab.session.reference_rad_s().unwrap());
+        rig.cycles(1);
+        if rig.session.phase() == Phase::Running {
+            references.push(rig.session.reference_rad_s().unwrap());
         }
     }
-    // The reference starts at the measured speed, and the output at what holds it: no integral of the first run.
+    // The reference starts at the measured speed, and the output at its steady-state value: no integral of the first run.
     within(references[0].abs(), ..1.0);
     near(references[1], 110.0, 1e-9);
-    let again: Vec<f64> = lab.volts()[before..].to_vec();
+    let again: Vec<f64> = rig.volts()[before..].to_vec();
     let begun = |volts: &[f64]| volts.iter().position(|volts| volts.abs() > 2.0).unwrap();
     let (one, two) = (begun(&first), begun(&again));
     for n in 0..15 {
@@ -236,17 +236,17 @@ fn a_second_start_begins_at_rest_with_nothing_of_the_first() {
 
 #[test]
 fn a_drive_without_times_of_commands_is_regulated_too() {
-    // The scripted drive has no physics for the plausibility checks, but it is quick and obeys.
+    // The scripted drive has no physics for the plausibility checks, but it follows without delay.
     let unstamped = |_, mut sample: Sample| {
         (sample.applied, sample.seq) = (None, None);
         Some(sample)
     };
     let bench = bench();
     let link = (ScriptedDrive::new(PERIOD_S), VirtualClock::new());
-    let lab = Lab::new(session(&bench, &baseline(&bench)), link, unstamped).started(150);
-    assert_eq!(lab.session.phase(), Phase::Running, "{:?}", lab.outcome());
-    assert_eq!(lab.session.report().unwrap().delay, None);
-    let last = lab.session.last_sample().unwrap();
+    let rig = SessionRig::new(session(&bench, &baseline(&bench)), link, unstamped).started(150);
+    assert_eq!(rig.session.phase(), Phase::Running, "{:?}", rig.outcome());
+    assert_eq!(rig.session.report().unwrap().delay, None);
+    let last = rig.session.last_sample().unwrap();
     assert_eq!(last.state, Some(DriveState::Running));
     near(last.get(Channel::Speed).unwrap(), 110.0, 3.0);
 }
@@ -290,7 +290,7 @@ fn models_of_another_motor_or_unphysical_ones_are_refused() {
 }
 
 #[test]
-fn sections_that_make_no_loop_are_refused() {
+fn sections_without_a_stable_loop_are_refused() {
     use Actuator::{Current, Speed, Voltage};
     use ControllerKind::{Addc, PaperB, Pi};
     type Case = (Actuator, f64, fn(&mut SpeedSection), Option<&'static str>);
@@ -306,7 +306,7 @@ fn sections_that_make_no_loop_are_refused() {
     let of_speed = "\"addc\" does not act with a speed (expected one of voltage, current)";
     let cases: [Case; 11] = [
         (Voltage, 1.0, |s| by_hand(s, Pi, 0.25), None),
-        // What one cycle of delay bears five do not.
+        // Stable with one cycle of delay, not with five.
         (Voltage, 5.0, |s| by_hand(s, Pi, 0.25), Some("proportional_v_s_per_rad = 0.25")),
         (Voltage, 1.0, |s| by_hand(s, Pi, 5.0), Some("= 5 is not allowed (expected up to")),
         (Voltage, 1.0, |s| by_hand(s, Addc, 0.25), Some("\"pi\" over a voltage only")),
@@ -362,10 +362,10 @@ fn every_controller_can_be_made_and_is_simulated_on_two_masses() {
 }
 
 fn followed(config: &EmulatorConfig, bench: &BenchFile, model: &Model, cycles: u32) -> SpeedReport {
-    let lab = started(config, 1, bench, model, cycles);
-    assert_eq!(lab.outcome(), Some(&Outcome::Done));
-    within(lab.largest(Channel::Current), ..13.0);
-    lab.session.report().unwrap()
+    let rig = started(config, 1, bench, model, cycles);
+    assert_eq!(rig.outcome(), Some(&Outcome::Done));
+    within(rig.largest(Channel::Current), ..13.0);
+    rig.session.report().unwrap()
 }
 
 #[test]
@@ -373,7 +373,7 @@ fn a_current_drive_is_regulated_and_a_speed_drive_trimmed() {
     use ControllerKind::{Addc, Pi};
     for (actuator, controller, lag_s, overshoot_percent, settling_s) in [
         (Actuator::Current, Pi, None, 10.0, 0.8),
-        // Its inertia is followed.
+        // Its inertia is adapted to.
         (Actuator::Current, Addc, None, 10.0, 0.8),
         (Actuator::Speed, Pi, Some(0.06), 15.0, 1.0),
     ] {
@@ -449,11 +449,11 @@ fn behind_a_coupling(
     let clock = VirtualClock::new();
     let latency = Latency { request_s: 4e-4, reply_s: 4e-4 };
     let link = MemoryLink::new(SoftDrive::new(&config, 1), clock.clone(), latency);
-    let lab = Lab::new(speed_session(&bench, &design, guard), (link, clock), unspoilt)
+    let rig = SessionRig::new(speed_session(&bench, &design, guard), (link, clock), no_fault)
         .every(bench.period_s())
         .started(3600);
-    let report = lab.session.report().unwrap();
-    assert_eq!(lab.outcome(), Some(&Outcome::Done), "{:?}", report.reasons);
+    let report = rig.session.report().unwrap();
+    assert_eq!(rig.outcome(), Some(&Outcome::Done), "{:?}", report.reasons);
     near(report.delay.unwrap().median_cycles, 1.0, 0.01);
     // From the second step on: the first comes from rest, at the current limit.
     report.steps[1..].to_vec()
@@ -497,7 +497,7 @@ fn behind_a_coupling_a_step_settles_without_ringing() {
 const TOLERANCE: f64 = 0.5;
 
 #[derive(Debug)]
-struct Fate {
+struct LoopResult {
     #[expect(dead_code, reason = "shown where a motor fails")]
     seed: u64,
     hidden: String,
@@ -510,18 +510,19 @@ struct Fate {
 }
 
 /// Runs the embedded reference on the motor that `seed` draws. The electrical half of the model is that of an identification
-/// with an error of 5 %, either way in turn; inertia and load are the nameplate's, wrong by up to a half.
-fn fate(seed: u64) -> Fate {
+/// with an error of 5 % of alternating sign; inertia and load are the nameplate's, with an error of up to a half.
+fn result(seed: u64) -> LoopResult {
     let mut config = mystery::draw(seed).config;
     config.tolerance = TOLERANCE;
     let specimen = config.motor.specimen(TOLERANCE, seed);
     let error: f64 = if seed.is_multiple_of(2) { 1.05 } else { 0.95 };
-    let mut plate = bench();
-    plate.motor.resistance_ohm = Some(specimen.resistance_ohm * error);
-    plate.motor.inductance_h = Some(specimen.inductance_h / error);
-    plate.motor.back_emf_v_s_per_rad = Some(specimen.back_emf_v_s_per_rad * (2.0 - error).sqrt());
-    let lab = started(&config, seed, &plate, &baseline(&plate), 1600);
-    let rows: Vec<(f64, f64)> = lab.recorded(Channel::Speed).collect();
+    let mut nameplate = bench();
+    nameplate.motor.resistance_ohm = Some(specimen.resistance_ohm * error);
+    nameplate.motor.inductance_h = Some(specimen.inductance_h / error);
+    nameplate.motor.back_emf_v_s_per_rad =
+        Some(specimen.back_emf_v_s_per_rad * (2.0 - error).sqrt());
+    let rig = started(&config, seed, &nameplate, &baseline(&nameplate), 1600);
+    let rows: Vec<(f64, f64)> = rig.recorded(Channel::Speed).collect();
     let begin_s = rows.first().map_or(0.0, |row| row.0);
     // On the first level the gains of a loop that oscillates may still be reduced.
     let swings = (1..6_u32).map(|level| {
@@ -530,13 +531,13 @@ fn fate(seed: u64) -> Fate {
         let (low, high) = extent(rows.iter().filter(|row| last.contains(&row.0)).map(|row| row.1));
         (high - low).max(0.0)
     });
-    Fate {
+    LoopResult {
         seed,
         hidden: config.hidden.first().map_or("nothing", |effect| effect.id()).to_owned(),
-        outcome: lab.outcome().cloned(),
-        largest_a: lab.largest(Channel::Current),
-        largest_rad_s: lab.largest(Channel::Speed),
-        largest_v: lab.volts().into_iter().map(f64::abs).fold(0.0, f64::max),
+        outcome: rig.outcome().cloned(),
+        largest_a: rig.largest(Channel::Current),
+        largest_rad_s: rig.largest(Channel::Speed),
+        largest_v: rig.volts().into_iter().map(f64::abs).fold(0.0, f64::max),
         swing_rad_s: swings.fold(0.0, f64::max),
     }
 }
@@ -544,21 +545,21 @@ fn fate(seed: u64) -> Fate {
 #[test]
 fn two_hundred_motors_stay_stable_and_within_limits() {
     let limits = bench().limits();
-    let fates: Vec<Fate> = (1..=200).map(fate).collect();
-    for fate in &fates {
-        assert!(fate.largest_a <= limits.current_a, "{fate:?}");
-        assert!(fate.largest_rad_s <= limits.speed_rad_s, "{fate:?}");
-        assert!(fate.largest_v <= limits.voltage_v + 1e-9, "{fate:?}");
+    let results: Vec<LoopResult> = (1..=200).map(result).collect();
+    for result in &results {
+        assert!(result.largest_a <= limits.current_a, "{result:?}");
+        assert!(result.largest_rad_s <= limits.speed_rad_s, "{result:?}");
+        assert!(result.largest_v <= limits.voltage_v + 1e-9, "{result:?}");
     }
     // A sensor that shows a current at rest is refused before anything moves.
-    let (started, refused): (Vec<Fate>, Vec<Fate>) =
-        fates.into_iter().partition(|fate| fate.largest_v > 0.0);
+    let (started, refused): (Vec<LoopResult>, Vec<LoopResult>) =
+        results.into_iter().partition(|result| result.largest_v > 0.0);
     assert!(started.len() >= 190, "{refused:?}");
-    assert!(refused.iter().all(|fate| fate.hidden == "current_offset"), "{refused:?}");
-    for fate in &started {
-        assert_eq!(fate.outcome, Some(Outcome::Done), "{fate:?}");
-        // Torques of the angle, and stick-slip, move the shaft whatever the loop does.
-        assert!(fate.swing_rad_s < 7.0, "{fate:?}");
+    assert!(refused.iter().all(|result| result.hidden == "current_offset"), "{refused:?}");
+    for result in &started {
+        assert_eq!(result.outcome, Some(Outcome::Done), "{result:?}");
+        // Torques of the angle, and stick-slip, disturb the speed with every controller.
+        assert!(result.swing_rad_s < 7.0, "{result:?}");
     }
 }
 
@@ -569,9 +570,9 @@ fn a_loop_short_of_its_reference_ends_at_zero() {
     config.hidden =
         vec![HiddenEffect::new("load_step", &[("step_n_m", 3.2), ("time_s", 4.0)]).unwrap()];
     let bench = bench();
-    let lab = started(&config, 1, &bench, &baseline(&bench), 1600);
-    let (kind, reason) = lab.trip();
+    let rig = started(&config, 1, &bench, &baseline(&bench), 1600);
+    let (kind, reason) = rig.trip();
     assert_eq!(kind, TripKind::LoopSaturated, "{reason}");
     has(&reason, "does not fall");
-    assert_eq!(lab.session.report().unwrap().watch.last().unwrap().found, "saturated");
+    assert_eq!(rig.session.report().unwrap().watch.last().unwrap().found, "saturated");
 }

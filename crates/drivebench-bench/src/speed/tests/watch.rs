@@ -7,17 +7,17 @@ use rayon::iter::{IntoParallelIterator as _, ParallelIterator as _};
 use super::*;
 use drivebench_model::numerics::count::whole;
 
-/// How long a level of the reference stands, s, how many pairs of levels there are, and on how many motors.
+/// Duration of a level of the reference, s, number of pairs of levels, and number of motors.
 #[derive(Clone, Copy)]
-struct Course {
+struct TestRun {
     level_s: f64,
     pairs: u32,
     motors: u64,
 }
 
 /// One step up and one down, each long enough for the detector; and the embedded bench's six.
-const SHORT: Course = Course { level_s: 1.6, pairs: 1, motors: 100 };
-const WHOLE: Course = Course { level_s: 2.0, pairs: 3, motors: 200 };
+const SHORT: TestRun = TestRun { level_s: 1.6, pairs: 1, motors: 100 };
+const WHOLE: TestRun = TestRun { level_s: 2.0, pairs: 3, motors: 200 };
 
 /// An oscillation that has to be found lasts for so many cycles.
 const LASTING_CYCLES: usize = 100;
@@ -82,7 +82,7 @@ fn supervised(
     config: &EmulatorConfig,
     kind: ControllerKind,
     seed: u64,
-    course: Course,
+    test: TestRun,
 ) -> Supervised {
     let mut bench = bench();
     let section = bench.speed.as_mut().unwrap();
@@ -90,11 +90,11 @@ fn supervised(
     section.reference = vec![ReferencePart::Square {
         low_rad_s: 90.0,
         high_rad_s: 110.0,
-        half_period_s: course.level_s,
-        periods: course.pairs,
+        half_period_s: test.level_s,
+        periods: test.pairs,
     }];
-    let levels = 2 * course.pairs;
-    let duration_s = course.level_s * f64::from(levels);
+    let levels = 2 * test.pairs;
+    let duration_s = test.level_s * f64::from(levels);
     let cycles = u32::try_from(whole(duration_s / PERIOD_S) + 100).unwrap();
     let lab = started(config, seed, &bench, &baseline(&bench), cycles);
     let watch = lab.session.report().unwrap().watch;
@@ -111,8 +111,8 @@ fn supervised(
     let first_s = watch.first().map(|found| found.time_s);
     let mut unnoticed = false;
     for level in 0..levels {
-        let from_s = course.level_s * f64::from(level);
-        let to_s = course.level_s * f64::from(level + 1);
+        let from_s = test.level_s * f64::from(level);
+        let to_s = test.level_s * f64::from(level + 1);
         // 5 % of the step, of which the first comes from rest, and ten deviations of the sensor.
         let step_rad_s = if level == 0 { 110.0 } else { 20.0 };
         let least_rad_s = 0.05 * step_rad_s + 10.0 * 0.15;
@@ -129,10 +129,10 @@ fn supervised(
     Supervised { about, outcome, watch, unnoticed }
 }
 
-fn on_all(config: impl Fn(u64) -> EmulatorConfig + Sync, course: Course) -> Vec<Supervised> {
-    let on = |kind: ControllerKind| (1..=course.motors).map(move |seed| (kind, seed));
+fn on_all(config: impl Fn(u64) -> EmulatorConfig + Sync, test: TestRun) -> Vec<Supervised> {
+    let on = |kind: ControllerKind| (1..=test.motors).map(move |seed| (kind, seed));
     let runs: Vec<(ControllerKind, u64)> = ControllerKind::ALL.into_iter().flat_map(on).collect();
-    let run = |(kind, seed)| supervised(&config(seed), kind, seed, course);
+    let run = |(kind, seed)| supervised(&config(seed), kind, seed, test);
     runs.into_par_iter().map(run).collect()
 }
 
@@ -172,8 +172,8 @@ fn as_modelled(seed: u64) -> EmulatorConfig {
     config
 }
 
-fn every_oscillation_is_found(course: Course) {
-    let all = on_all(behind_some_coupling, course);
+fn every_oscillation_is_found(test: TestRun) {
+    let all = on_all(behind_some_coupling, test);
     for run in &all {
         assert!(!run.unnoticed, "{run:#?}");
         assert!(run.is_done() || run.is_ended(), "{run:#?}");
@@ -182,9 +182,9 @@ fn every_oscillation_is_found(course: Course) {
     assert!(all.iter().filter(|run| !run.watch.is_empty()).count() > all.len() / 10);
 }
 
-/// Noise in a quick loop may be reported in so many runs; nothing is done against it.
-fn no_modelled_motor_is_suspected(course: Course, most_reported: usize) {
-    let all = on_all(as_modelled, course);
+/// At most so many runs with noise in a quick loop are reported, without a change of gains.
+fn no_modelled_motor_is_suspected(test: TestRun, most_reported: usize) {
+    let all = on_all(as_modelled, test);
     for run in &all {
         assert!(run.is_done() && run.watch.iter().all(|one| one.found == "swings"), "{run:#?}");
     }
