@@ -1,4 +1,4 @@
-//! What one fit costs, and what it costs to name the missing effect: whole diagnoses of 12 s at 1 kHz with a second run of
+//! Time of one fit, and of whole diagnoses: 12 s at 1 kHz with a second run of
 //! the same length held out.
 
 mod common;
@@ -13,7 +13,7 @@ use drivebench::identification::noise::NoiseFloor;
 use drivebench::identification::{output_error, start};
 use drivebench::plant::{Model, Motor};
 
-/// Name of the case, a model for the truth, and the two runs that it gives.
+/// Name of the case and its two runs.
 fn cases() -> [(&'static str, Evidence); 2] {
     let baseline = Model::baseline(Motor::zk_22fc());
     let mut rubbing =
@@ -28,7 +28,7 @@ fn cases() -> [(&'static str, Evidence); 2] {
     ]
 }
 
-/// A nameplate that is some per cent off, as they are.
+/// A nameplate with errors of some per cent.
 fn nameplate() -> Model {
     let mut model = Model::baseline(Motor::zk_22fc());
     let off = [1.08, 0.93, 1.04, 0.95, 1.1];

@@ -1,4 +1,4 @@
-//! What one cycle of the loop, or one row of a record, costs on each hot path.
+//! Time of one cycle of the loop, or of one row of a record, on each hot path.
 
 mod common;
 #[path = "common/kernels.rs"]

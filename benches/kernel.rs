@@ -1,8 +1,8 @@
-//! One hot path, a given number of times: for instruments that look at a process from outside.
+//! One hot path, a given number of times: for external profilers.
 //!
 //! ```text
 //! kernel                   ids of all, with their elements
-//! kernel online/push 20    does it twenty times, prints the nanoseconds of one element
+//! kernel online/push 20    runs it twenty times, prints the nanoseconds of one element
 //! kernel table             the rows that it reads, as CSV, for others to read
 //! ```
 
@@ -23,7 +23,7 @@ use std::time::Instant;
 fn main() {
     let words: Vec<String> = std::env::args().skip(1).collect();
     match words.as_slice() {
-        // As `cargo bench` starts every benchmark: this one waits to be asked.
+        // `cargo bench` starts every benchmark; this one runs on request only.
         [word] if word == "--bench" => {}
         [word] if word == "table" => print!("{}", kernels::text()),
         [] => {
@@ -34,7 +34,7 @@ fn main() {
         [id, times] => {
             let known = kernels::ALL.into_iter().find(|(name, _)| name == id);
             let (Some((_, make)), Ok(times)) = (known, times.parse::<u32>()) else {
-                eprintln!("error: {id} {times}: there is no such kernel, or that is no number");
+                eprintln!("error: {id} {times}: no such kernel, or no number");
                 std::process::exit(2);
             };
             let mut kernel = make();

@@ -1,8 +1,8 @@
-//! What one exchange takes over a line as slow as a real one, through a pseudo-terminal: the arithmetic of the line is
-//! the bound, and what is above it is host, kernel and emulator.
+//! Time of one exchange over a line with the speed of a real one, through a pseudo-terminal: the baud rate is
+//! the bound, and the excess is that of host, kernel and emulator.
 //!
 //! ```text
-//! emulator (own thread, its characters, silences and 0.5 ms of thought) <- pseudo-terminal <- link <- exchange after exchange
+//! emulator (own thread, its characters, silences and 0.5 ms turnaround) <- pseudo-terminal <- link <- exchange after exchange
 //! ```
 
 use std::time::{Duration, Instant};

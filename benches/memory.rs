@@ -1,4 +1,4 @@
-//! That the memory of a replay does not grow with its rows.
+//! The memory of a replay does not grow with its rows.
 
 #[path = "common/rows.rs"]
 mod rows;
@@ -12,8 +12,8 @@ use rows::{layout, row};
 
 const ALL_ROWS: usize = 5_000_000;
 
-/// So many rows, made as they are read.
-struct Endless {
+/// A table whose rows are generated as they are read.
+struct GeneratedTable {
     layout: Layout,
     text: String,
     at: usize,
@@ -21,7 +21,7 @@ struct Endless {
     end: usize,
 }
 
-impl Read for Endless {
+impl Read for GeneratedTable {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         if self.at == self.text.len() && self.next < self.end {
             self.text.clear();
@@ -38,18 +38,17 @@ impl Read for Endless {
 /// Resident memory, pages.
 fn resident() -> u64 {
     let text = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
-    let mut numbers = text.split(' ').filter_map(|word| word.parse().ok());
-    numbers.nth(1).unwrap_or(0)
+    text.split(' ').filter_map(|word| word.parse().ok()).nth(1).unwrap_or(0)
 }
 
-/// Replays five million rows and says by how much the memory has grown over the last nine tenths of them.
+/// Replays five million rows and prints the growth of the memory over the last nine tenths of them.
 fn main() {
     // As in a test of all targets, which measures nothing.
     if !std::env::args().any(|argument| argument == "--bench") {
         return;
     }
     let layout = layout();
-    let source = Endless { text: layout.header(), layout, at: 0, next: 0, end: ALL_ROWS };
+    let source = GeneratedTable { text: layout.header(), layout, at: 0, next: 0, end: ALL_ROWS };
     let source = io::BufReader::new(source);
     let mut rows = CsvRows::new(source, "run", ReadOptions::default()).expect("our own header");
     let mut early = 0;

@@ -1,4 +1,4 @@
-//! A frame of the screen of a run, into a terminal in memory: what the cells say is looked at, and everything is drawn.
+//! A frame of the screen of a run, into a terminal in memory: the cells are polled, and everything is drawn.
 
 use std::sync::Arc;
 use std::sync::mpsc::channel;

@@ -1,6 +1,6 @@
-//! What one cycle of a whole closed-loop session costs: guard, on-line identification, controller, record, snapshot.
+//! Time of one cycle of a whole closed-loop session: guard, on-line identification, controller, record, snapshot.
 //!
-//! The drive is a shaft that answers at once and time is virtual, so that nothing else is in the figure.
+//! The drive is a shaft without delay and time is virtual, so that nothing else is measured.
 
 use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;
@@ -22,7 +22,7 @@ const PERIOD_S: f64 = 0.01;
 const SIGNALS: [Channel; 4] =
     [Channel::VoltageCmd, Channel::Voltage, Channel::Current, Channel::Speed];
 
-/// A motor of two lines: enough for the loop to be at work.
+/// A motor without inductance: enough for a closed loop.
 struct Shaft {
     time_s: f64,
     speed_rad_s: f64,
@@ -35,7 +35,7 @@ impl DriveLink for Shaft {
     }
 
     fn identify(&mut self) -> Result<Identity, LinkError> {
-        unreachable!("the session does not ask")
+        unreachable!("the session does not identify the drive")
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample, LinkError> {
@@ -43,8 +43,8 @@ impl DriveLink for Shaft {
         self.exchanges += 1;
         let volts = command.demand.voltage_v().unwrap_or(0.0);
         let amps = (volts - 0.3538 * self.speed_rad_s) / 1.1;
-        let pull = 0.3538 * amps - 0.455 * (self.speed_rad_s / 2.0).clamp(-1.0, 1.0);
-        self.speed_rad_s += PERIOD_S * pull / 0.0228;
+        let torque = 0.3538 * amps - 0.455 * (self.speed_rad_s / 2.0).clamp(-1.0, 1.0);
+        self.speed_rad_s += PERIOD_S * torque / 0.0228;
         let mut sample = Sample::at(self.time_s)
             .with(Channel::VoltageCmd, volts)
             .with(Channel::Voltage, volts)

@@ -29,7 +29,7 @@ fn simulation(criterion: &mut Criterion) {
         }
         free_run(criterion, id, &model, &run);
     }
-    // Commands that a drive has applied at stamped instants between the samples: no two steps have one length.
+    // Commands applied at time stamps between the samples: no two steps have the same length.
     let mut stamped = run;
     for (k, event) in stamped.events.iter_mut().enumerate().skip(1) {
         event.0 += 1e-3 * (0.1 + 0.8 * ((k as f64) * 0.618_034).fract());

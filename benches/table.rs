@@ -1,4 +1,4 @@
-//! `docs/benchmarks.md` from what the other benchmarks measured: `cargo bench` runs them all, this one last.
+//! `docs/benchmarks.md` from the figures of the other benchmarks: `cargo bench` runs them all, this one last.
 //!
 //! ```text
 //! target/criterion/GROUP/NAME/new/sample.json (iterations, times) -> least, median, spread -> one line of the table
@@ -46,7 +46,7 @@ screen/frame_200x50 | 1666e3 | the same, 200x50
 free_run/baseline | 0.5e6 | free run of the baseline, 12 s at 1 kHz
 free_run/baseline_stamped_commands | - | the same, every command applied at an instant of its own";
 
-/// The heading of what others need for the same.
+/// The heading of the comparison with other programs.
 const BESIDE: &str = "## Beside others\n\n\
 `.ci/performance/run.sh` measures all of this page and does the same work with others, in turn, in one run: the ratio of a\n\
 round is taken before the median, so that a machine that becomes slower makes both slower.\n\n";
@@ -66,8 +66,7 @@ fn figures() -> Vec<Figure> {
         let target = if TWO_MASS.contains(&id) { "4e6" } else { "2e6" };
         format!("free_run/{id} | {target} | free run with `{id}`")
     });
-    let all = FIGURES.lines().map(str::to_owned).chain(of_effect);
-    all.map(figure).collect()
+    FIGURES.lines().map(str::to_owned).chain(of_effect).map(figure).collect()
 }
 
 /// Nanoseconds for one element.
@@ -121,7 +120,7 @@ fn machine() -> String {
     )
 }
 
-/// The page; a line of `before`, the page as it is, stands where nothing was measured anew on the same machine.
+/// The page; a line of `before`, the present page, is kept where the same machine has no new figure.
 fn table(measurements: &Path, before: &str) -> String {
     let mut out = format!(
         "# Benchmarks\n\n\
@@ -140,8 +139,7 @@ fn table(measurements: &Path, before: &str) -> String {
         let line = match measured(&measurements.join(&figure.id).join("new")) {
             None => {
                 let begin = format!("| {} | {limit} |", figure.what);
-                let mut lines = before.lines().filter(|_| is_same);
-                let kept = lines.find(|line| line.starts_with(&begin));
+                let kept = before.lines().filter(|_| is_same).find(|line| line.starts_with(&begin));
                 kept.map_or_else(|| begin.clone() + " not measured | | | |", str::to_owned)
             }
             Some(found) => {

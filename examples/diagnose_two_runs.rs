@@ -1,9 +1,9 @@
-//! Names what the model misses: one run to fit, another that the fit never sees. Here both are simulated, with a fan on the shaft.
+//! Names missing effects: one run is fitted, another held out. Here both are simulated, with a fan on the shaft.
 //!
 //! ```sh
 //! cargo run --release --example diagnose_two_runs
 //! ```
-#![expect(clippy::print_stdout, reason = "what an example shows")]
+#![expect(clippy::print_stdout, reason = "the output of an example")]
 
 use std::error::Error;
 
@@ -12,7 +12,7 @@ use drivebench::identification::output_error::FitError;
 use drivebench::plant::{Model, Motor, Scenario, testing};
 use drivebench::report::wording::diagnosis::diagnosis as sentence;
 
-/// What the runs say together about a motor of which the baseline is known.
+/// Diagnosis of a motor with a known baseline from both runs.
 pub fn missing(fit: Scenario, holdout: Scenario) -> Result<Diagnosis, FitError> {
     let nameplate = Model::baseline(Motor::zk_22fc());
     diagnose(&nameplate, Evidence::new(fit, Some(holdout), None))

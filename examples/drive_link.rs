@@ -1,10 +1,10 @@
-//! A drive through its link: identify it, command a voltage for a second, stop. The drive is the software one, in virtual time;
+//! A drive through its link: identify it, command a voltage for a second, stop. The drive is emulated, in virtual time;
 //! `drivebench::drive::open` gives the same [`DriveLink`] for a real port.
 //!
 //! ```sh
 //! cargo run --release --example drive_link
 //! ```
-#![expect(clippy::print_stdout, reason = "what an example shows")]
+#![expect(clippy::print_stdout, reason = "the output of an example")]
 
 use std::error::Error;
 
@@ -34,7 +34,7 @@ pub fn one_second(
     samples
 }
 
-/// The software drive that hides nothing.
+/// The emulated drive without hidden effects.
 pub fn emulated() -> Result<(MemoryLink, VirtualClock), Box<dyn Error>> {
     let config = EmulatorConfig::embedded("zk-22fc-plain")?;
     let clock = VirtualClock::new();

@@ -1,10 +1,10 @@
-//! The gallery of effects: every effect of the catalogue at a typical size on the emulated motor of paper A, what the equation
-//! lacks without it, and the effect drawn through the points. Writes `docs/gallery.md` and `docs/gallery/`.
+//! The gallery of effects: every effect of the catalogue at a typical size on the emulated motor of paper A, the equation's
+//! error without it, and the effect drawn through the points. Writes `docs/gallery.md` and `docs/gallery/`.
 //!
 //! ```sh
 //! cargo run --release --example gallery
 //! ```
-#![expect(clippy::print_stdout, reason = "what an example shows")]
+#![expect(clippy::print_stdout, reason = "the output of an example")]
 
 use std::error::Error;
 use std::fmt::Write as _;
@@ -20,14 +20,14 @@ use drivebench::report::{curve_picture, plot};
 use drivebench::text::number::{significant, with_unit};
 
 /// Least ratio of the root mean squares of the error without and with an effect, so that its size exceeds the noise.
-const VISIBLE: f64 = 2.0;
-/// Doublings of the first guess after which it is left as it is.
+const VISIBLE_RATIO: f64 = 2.0;
+/// Most doublings of the first guess.
 const MOST_DOUBLINGS: u32 = 8;
 const PERIOD_S: f64 = 0.002;
 const DURATION_S: f64 = 12.0;
 const SLEW_V_PER_S: f64 = 300.0;
 
-/// Rest, a slow climb and fall both ways, then steps with reversals, creeping and rests between them.
+/// Rest, a slow sine over both directions, then steps with reversals, low speeds and rests between them.
 fn excitation() -> Vec<(f64, f64)> {
     let mut events = vec![(0.0, 0.0)];
     let ramp = (0..300).map(|k| {
@@ -37,7 +37,7 @@ fn excitation() -> Vec<(f64, f64)> {
     events.extend(ramp);
     let levels =
         [30.0, 90.0, 50.0, 3.0, 0.0, -4.0, -40.0, -90.0, 60.0, -60.0, 6.0, 20.0, 0.0, 70.0];
-    // A drive climbs to a level no faster than this.
+    // The slew limit of the drive over 10 ms.
     let most_v = SLEW_V_PER_S * 0.01;
     let mut level_v: f64 = 0.0;
     for (k, wanted_v) in levels.into_iter().enumerate() {
@@ -49,7 +49,7 @@ fn excitation() -> Vec<(f64, f64)> {
     events
 }
 
-/// The motor with the effect, and its curve, at the first size from its guess on that is seen.
+/// The motor with the effect, and its curve, at the first of the doubled sizes that is visible.
 fn drawn(
     effect: &'static dyn drivebench::plant::Effect,
 ) -> Result<Option<(Model, EffectCurve)>, FitError> {
@@ -73,7 +73,7 @@ fn drawn(
             continue;
         };
         let with = curve.rms_with.unwrap_or(f64::INFINITY);
-        let is_visible = curve.rms_without > VISIBLE * with;
+        let is_visible = curve.rms_without > VISIBLE_RATIO * with;
         last = Some((model, curve));
         if is_visible {
             break;
@@ -87,8 +87,7 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
     let _ = write!(page, "\n## {name}\n\n`{id}`: `{equation}`\n\n");
     if let Some((model, curve)) = found {
         let sizes = model.effects.iter().flat_map(|active| {
-            let specs = active.effect.parameters().iter().zip(&active.values);
-            specs.filter_map(|(spec, value)| {
+            active.effect.parameters().iter().zip(&active.values).filter_map(|(spec, value)| {
                 let size = with_unit(&significant((*value)?, 3), spec.unit);
                 Some(format!("`{}` {size}", spec.key))
             })
@@ -121,10 +120,10 @@ fn section(page: &mut String, card: &Card, found: Option<&(Model, EffectCurve)>)
 pub fn gallery() -> Result<Vec<(String, String)>, FitError> {
     let mut page = String::from(
         "# Gallery of effects\n\n\
-         How each effect of the catalogue looks. The emulated motor of paper A has the effect, the model does not. Circles: error of\n\
-         the equation without the effect; dots: with it; each is the mean of some windows with its 95 % interval; line: the effect. An\n\
-         effect that is no function of one variable is drawn over the axis that explains most of it. `cargo run --release --example\n\
-         gallery` writes this page; `drivebench diagnose --html` draws the same for your machine; `drivebench effects` lists them all.\n",
+         The curve of each effect. The emulated motor of paper A has the effect, the model does not. Circles: error of the\n\
+         equation without the effect; dots: with it; each is the mean of some windows with its 95 % interval; line: the effect. An\n\
+         effect that is no curve over one axis is drawn along that with the largest share. `cargo run --release --example gallery`\n\
+         writes this page; `drivebench diagnose --html` draws the same for your machine, and `drivebench effects` lists the effects.\n",
     );
     let mut files = Vec::new();
     for effect in CATALOGUE {

@@ -1,9 +1,9 @@
-//! Identifies a motor from a CSV of another program: columns to quantities, quantities to a scenario, a scheme by its signals.
+//! Identifies a motor from a CSV of another program: columns become quantities of a scenario, whose signals select the scheme.
 //!
 //! ```sh
 //! cargo run --release --example identify_csv -- record.csv time_s=t,voltage_v=u,current_a=i,speed_rad_s=w
 //! ```
-#![expect(clippy::print_stdout, reason = "what an example shows")]
+#![expect(clippy::print_stdout, reason = "the output of an example")]
 
 use std::error::Error;
 use std::fmt::Write as _;

@@ -1,9 +1,9 @@
-//! An effect of one's own, without touching the catalogue: a card, parameters and a law; then fitted and judged like any other.
+//! A user-defined effect, outside of the catalogue: a card, parameters and an equation; then fitted and judged like any other.
 //!
 //! ```sh
 //! cargo run --release --example own_effect
 //! ```
-#![expect(clippy::print_stdout, reason = "what an example shows")]
+#![expect(clippy::print_stdout, reason = "the output of an example")]
 
 use std::error::Error;
 
@@ -48,7 +48,7 @@ impl Terms for Cubic {
     }
 }
 
-/// Whether two runs of a motor with a fan ask for it.
+/// Whether two runs of a motor with a fan show it.
 pub fn judged() -> Result<AddResult, FitError> {
     let runs = Evidence::new(testing::with_a_fan(0), Some(testing::with_a_fan(3)), None);
     add(&Propeller, &Model::baseline(Motor::zk_22fc()), runs)

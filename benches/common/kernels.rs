@@ -1,6 +1,6 @@
-//! The hot paths: what runs once a cycle of the loop or once a row of a record, each alone and without a clock.
+//! The hot paths: code that runs once a cycle of the loop or once a row of a record, each alone and without a clock.
 //!
-//! `hot_paths` times them, and `kernel` does one of them a given number of times, for whoever counts or times from outside.
+//! `hot_paths` times them, and `kernel` runs one of them a given number of times, for external profilers.
 
 use std::hint::black_box;
 
@@ -34,7 +34,7 @@ impl Kernel {
     }
 }
 
-/// Makes what a kernel works on.
+/// Makes a kernel with its data.
 type Make = fn() -> Kernel;
 
 /// Every hot path with its id, `group/name`.
@@ -71,7 +71,7 @@ fn rows<const N: usize>() -> Vec<([f64; N], f64)> {
         .collect()
 }
 
-/// Recursive least squares as paper A prints it, eq. (7)-(9): the plain covariance, which winds up with rows of one
+/// Recursive least squares of paper A, eq. (7)-(9): the plain covariance, which winds up with regressors of one
 /// direction, to compare with.
 struct PlainRecursiveLeastSquares<const N: usize> {
     forgetting: f64,
@@ -166,7 +166,7 @@ const PERIOD_S: f64 = 0.01;
 const TIMING: LoopTiming =
     LoopTiming { period_s: PERIOD_S, delay_s: 2.0 * PERIOD_S, filter_s: 0.0 };
 
-/// A shaft that follows a square wave as a lag, so that no controller sees a dead signal.
+/// A shaft that follows a square wave as a first-order lag, so that no signal is constant.
 fn followed() -> Vec<(f64, Measured)> {
     let mut speed = 0.0;
     (0..CYCLES)

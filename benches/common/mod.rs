@@ -1,4 +1,4 @@
-//! What the benchmarks share.
+//! Common code of the benchmarks.
 //!
 //! ```text
 //! hot_paths, simulation, diagnosis, session, ... -> target/criterion/*/new/*.json -> table -> docs/benchmarks.md
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use criterion::Criterion;
 
-/// Many short samples: on a shared machine the least of them is near the truth and their spread says how near.
+/// Many short samples: on a shared machine their minimum estimates the cost and their spread its uncertainty.
 pub(crate) fn settings() -> Criterion {
     Criterion::default()
         .sample_size(100)

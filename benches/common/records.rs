@@ -1,4 +1,4 @@
-//! Runs that benchmarks work on.
+//! Runs for the benchmarks.
 
 use drivebench::numerics::count::whole;
 use drivebench::plant::{Input, Model, Motor, Plant, Scenario, State};

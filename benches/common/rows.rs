@@ -1,4 +1,4 @@
-//! Rows as a run at 1 kHz leaves them.
+//! Rows of a run at 1 kHz.
 
 use drivebench::recording::{Layout, Row};
 use drivebench::sample::Channel;
@@ -14,7 +14,7 @@ pub(crate) const SIGNALS: [Channel; 7] = [
     Channel::Temperature,
 ];
 
-/// A row as a run at 1 kHz leaves it: what the drive sends has its resolution, what is computed has all digits.
+/// A row of a run at 1 kHz: values of the drive have its resolution, computed values have all digits.
 pub(crate) fn row(k: usize) -> Row {
     let time_s = 1e-3 * k as f64;
     let mut row = Row::at(time_s);

@@ -1,4 +1,4 @@
-//! Any bytes on the line, with silences where a byte says so: every byte is accounted for, the work is bounded.
+//! Any bytes on the line, with a silence after every 0xFE: every byte is accounted for, the work is bounded.
 #![no_main]
 
 use firmware_protocol::modbus::{RtuReceiver, rtu};
@@ -20,9 +20,9 @@ fuzz_target!(|bytes: &[u8]| {
     while let Some(frame) = receiver.take_frame() {
         taken += frame.pdu().len() as u64 + 3;
     }
-    let seen = receiver.statistics();
-    let came = bytes.len() as u64;
-    assert!(taken + seen.skipped <= came);
-    assert!(seen.foreign > 0 || taken + seen.skipped == came);
-    assert!(seen.checked <= 3 * rtu::MAX_FRAME as u64 * came);
+    let counts = receiver.statistics();
+    let received = bytes.len() as u64;
+    assert!(taken + counts.skipped <= received);
+    assert!(counts.foreign > 0 || taken + counts.skipped == received);
+    assert!(counts.checked <= 3 * rtu::MAX_FRAME as u64 * received);
 });

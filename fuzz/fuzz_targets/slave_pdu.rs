@@ -1,4 +1,4 @@
-//! Any request: one whole answer of its function, and a refused request writes nothing.
+//! Any request: one complete response of its function, and a refused request writes nothing.
 #![no_main]
 
 use firmware_protocol::modbus::{Exception, Length, RegisterBank, respond, response_len};

@@ -1,4 +1,4 @@
-//! Any bytes of a stream: what is taken for a frame says the same when it is encoded and decoded again.
+//! Any bytes of a stream: a decoded frame is the same after it is encoded and decoded again.
 #![no_main]
 
 use firmware_protocol::stream::{Decoder, encode};

@@ -1,4 +1,4 @@
-//! Any text as every file that a user writes or records: read, or refused with words.
+//! Any text as every file that a user writes or records: read, or refused with an error.
 #![no_main]
 
 use drivebench::bench::BenchFile;
