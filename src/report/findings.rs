@@ -101,14 +101,14 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
         let of_status = unnamed.clone().filter(move |own| own.status == status);
         of_status.filter(|own| own.as_good_as.is_none())
     };
-    let possible = with(Status::Possible).filter(|own| !own.is_not_borne_out());
+    let possible = with(Status::Possible).filter(|own| !own.is_not_confirmed_by_refit());
     let possible = possible.map(|own| {
         let most = candidate::at_most(own).map_or_else(String::new, |most| format!(", {most}"));
         format!("{} ({}{most})", own.effect, probability(own.probability))
     });
     document.say("possible", listed(possible), 1);
     let id = |own: &Candidate| own.effect.to_owned();
-    let not_borne_out = with(Status::Possible).filter(|own| own.is_not_borne_out());
+    let not_borne_out = with(Status::Possible).filter(|own| own.is_not_confirmed_by_refit());
     let not_borne_out = listed(not_borne_out.map(id)).map(|names| {
         format!("{names}: likely together with the others, but not confirmed by a refit")
     });
@@ -335,6 +335,6 @@ pub(super) fn next_run(document: &mut Document, next: Option<&NextExperiment>) {
             .column("run", |entry| Cell::code(entry.program))
             .column(figure, |entry| significant(entry.expected_separation, 2))
             .column(from, |entry| significant(entry.needed, 2))
-            .column("verdict", |entry| if entry.is_told() { yes } else { no }),
+            .column("verdict", |entry| if entry.is_separated() { yes } else { no }),
     );
 }

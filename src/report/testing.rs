@@ -141,7 +141,7 @@ pub(crate) fn next_experiment() -> NextExperiment {
     let entry =
         |program, expected_separation| MenuEntry { program, expected_separation, needed: 612.0 };
     NextExperiment {
-        finding: Recommendation::TellsApart,
+        finding: Recommendation::Distinguishes,
         bench: None,
         pair: Some(["viscous_friction", "quadratic_load"]),
         pairs: vec![PairEntry {

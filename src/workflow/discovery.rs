@@ -205,7 +205,7 @@ impl Discovery {
             *known
         } else {
             let mut found = diagnose_with(&self.model, self.evidence.clone(), &progress)?;
-            found.remember_rivals(&self.rivals);
+            found.mark_rivals(&self.rivals);
             found
         };
         if !is_electrical {
@@ -632,7 +632,7 @@ mod tests {
         diagnosis.verdict = DiagnosisVerdict::None;
         diagnosis.candidates.retain(|own| own.status == Status::RuledOut);
         assert_eq!(diagnosis.answer(), Answer::NothingMissing);
-        diagnosis.remember_rivals(&[
+        diagnosis.mark_rivals(&[
             ["quadratic_load", "viscous_friction"],
             ["quadratic_load", "no_candidate"],
         ]);

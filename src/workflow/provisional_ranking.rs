@@ -7,7 +7,7 @@
 //! ```
 
 use drivebench_bench::{Snapshot, TracePoint};
-use drivebench_diagnose::{Leaning, lean};
+use drivebench_diagnose::{RankedEffect, provisional_ranking};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
 use drivebench_model::plant::{Input, Model, Motor, MotorKey, Scenario};
@@ -28,7 +28,7 @@ const BOUNDS: Bounds = Bounds { most_samples: 4000, most_events: 8000, fewest_sa
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ProvisionalRanking {
     /// The one that explains most of the residual first.
-    pub effects: Vec<Leaning>,
+    pub effects: Vec<RankedEffect>,
     /// Of the run so far.
     pub seconds: f64,
 }
@@ -40,7 +40,7 @@ impl ProvisionalRanking {
         let Some(first) = self.effects.first() else {
             return format!("provisional, {seconds:.0} s: the residual fits no effect");
         };
-        let named = |own: &Leaning| format!("{} {:.0} %", own.effect, 100.0 * own.share);
+        let named = |own: &RankedEffect| format!("{} {:.0} %", own.effect, 100.0 * own.share);
         let others = self.effects[1..].iter().filter(|own| own.equation == first.equation);
         let others: Vec<String> = others.take(2).map(named).collect();
         let or = if others.is_empty() { "" } else { ", or " };
@@ -159,7 +159,7 @@ impl RankingWatch {
         run.speed_rad_s = self.speed_rad_s[first..].to_vec();
         let noise =
             NoiseFloor::from_standstill(&run).unwrap_or_else(|| NoiseFloor::from_spread(&run));
-        let effects = lean(&model, &run, &noise).ok()?;
+        let effects = provisional_ranking(&model, &run, &noise).ok()?;
         Some(ProvisionalRanking { effects, seconds })
     }
 }

@@ -1,5 +1,5 @@
-//! One candidate effect: its probability beside all others, its size, and the fall of the error on data that the fit has
-//! not seen.
+//! One candidate effect: its probability jointly with all others, its size, and the fall of the error on data that the fit has
+//! not used.
 
 use serde::Serialize;
 
@@ -16,29 +16,29 @@ use drivebench_identify::claims::{has_no_scale, is_tied};
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::verdict::judge;
 use drivebench_model::findings;
-use drivebench_model::plant::{Effect, Scenario, Slot};
+use drivebench_model::plant::{Effect, Slot};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
 const SUPPORTED_PROBABILITY: f64 = 0.9;
 const POSSIBLE_PROBABILITY: f64 = 0.1;
-/// Probability above which runs do show an effect, whatever was expected of them.
+/// Probability above which runs show an effect, whatever their expected precision.
 pub(super) const LIKELY_PROBABILITY: f64 = 0.5;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// There with nine parts in ten or more.
+    /// Probability of at least 0.9.
     Supported,
     Possible,
-    /// There with less than one part in ten, in runs that would show it.
+    /// Probability below 0.1, in runs in which it would be detectable.
     RuledOut,
-    /// These runs would not show it even at a size that would matter.
+    /// Not detectable in these runs even at a size that would matter.
     NotExcited,
 }
 
 impl Status {
-    /// The word for a probability.
+    /// The status of a probability.
     pub fn of(probability: f64, excited: bool) -> Self {
         if probability >= SUPPORTED_PROBABILITY {
             Self::Supported
@@ -60,13 +60,12 @@ pub struct Candidate {
     pub effect: &'static str,
     pub rank: usize,
     pub status: Status,
-    /// That it is there, weighed jointly with all others.
+    /// Posterior probability that it is present, jointly with all others.
     pub probability: f64,
-    /// Of a named effect from the fit of the whole answer, as its interval and what it reached; of the others from their
-    /// own.
+    /// Of a named effect, from the fit of the whole answer, as its interval and what it reached; empty of the others.
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
-    /// Of what happens once: when it did, in each run where it did.
+    /// Times of an event, in each run in which it occurred.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub onsets: Vec<Onset>,
     /// What the standard deviations of the parameters were multiplied by: more than one where more than noise is left over,
@@ -80,11 +79,11 @@ pub struct Candidate {
     pub holdout_before: f64,
     pub holdout_after: Option<f64>,
     pub explained_percent: Option<f64>,
-    /// The effect of the answer, or of the model, that these runs do not tell it from.
+    /// The effect of the answer, or of the model, from which these runs do not distinguish it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub as_good_as: Option<&'static str>,
-    /// Its size is below this with 95 %, whatever else is there: its first parameter, or the amplitude of sine and cosine.
-    /// Null where these runs do not show it, or where it is there wholly or not at all.
+    /// Upper 95 % bound of its size, whatever else is present: its first parameter, or the amplitude of sine and cosine.
+    /// Null where these runs do not show it, or where it has no size.
     pub upper_bound: Option<f64>,
     /// A size that would have been named in 95 of 100 such records.
     pub detectable: Option<f64>,
@@ -93,9 +92,9 @@ pub struct Candidate {
     /// Why it is not named whatever its probability is.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_named: Option<VetoReason>,
-    /// Whether the search did not come to a judgement of it: it is neither ruled out nor known not to be excited.
+    /// Whether the search was inconclusive: it is neither ruled out nor known not to be excited.
     pub is_open: bool,
-    /// Of the training run: a time that is longer says nothing.
+    /// Length of the training run: a longer time constant is not observable.
     #[serde(skip)]
     pub run_s: f64,
 }
@@ -115,20 +114,20 @@ findings! {
 }
 
 impl Candidate {
-    /// These runs do not tell it from `other`, which is in the answer or in the model.
+    /// These runs do not distinguish it from `other`, which is in the answer or in the model.
     pub(super) const fn is_as_good_as(&mut self, other: &'static str) {
         self.as_good_as = Some(other);
     }
 
-    /// Whether its refit did not show what its probability says.
-    pub fn is_not_borne_out(&self) -> bool {
+    /// Whether its probability is above one half and its refit does not confirm it.
+    pub fn is_not_confirmed_by_refit(&self) -> bool {
         self.status == Status::Possible && self.probability > LIKELY_PROBABILITY
     }
 }
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
 /// held-out error on its own rung of the ladder and its size beside the others, which `best`, the
-/// fit of the last rung as it is believed, gives.
+/// reported fit of the last rung, gives.
 pub(super) fn candidates(
     evidence: &Evidence,
     floor: Floor<'_>,
@@ -148,7 +147,8 @@ pub(super) fn candidates(
             .then(b.probability.total_cmp(&a.probability))
             .then(b.log_odds.total_cmp(&a.log_odds))
     });
-    let run_s = length_s(&evidence.training);
+    let ends_s = evidence.training.sample_time_s.last();
+    let run_s = ends_s.map_or(0.0, |last_s| last_s - evidence.training.begin_s());
     let base = &rungs[0];
     let has_no_scale = has_no_scale(&best.parameters, &evidence.training);
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
@@ -157,14 +157,14 @@ pub(super) fn candidates(
         let veto = inference.veto_of(id);
         let status = Status::of(inferred.probability, inferred.excited);
         let why_open = inference.why_open();
-        // What runs would show is known by the same linear solution as what they rule out.
+        // Detectability comes from the same linear solution as the bounds.
         let is_open = match status {
             Status::RuledOut => true,
             Status::NotExcited => inferred.why_not.is_none(),
             Status::Supported | Status::Possible => false,
         };
         let open = why_open.filter(|_| is_open);
-        // What the ladder does not show is not shown by its probability either.
+        // A vetoed effect is not supported, whatever its probability.
         let status = match veto {
             _ if open.is_some() => Status::NotExcited,
             Some(_) if !inferred.excited => Status::NotExcited,
@@ -173,7 +173,7 @@ pub(super) fn candidates(
         };
         let rung = place(inferred).map(|place| [&rungs[place], &rungs[place + 1]]);
         let onsets = inference.onsets(id);
-        // Of what did not happen in the fit run its fit knows nothing.
+        // An event of the hold-out alone has no parameters from the fit run.
         let elsewhere = onsets.first().filter(|onset| onset.run == RunOf::Holdout);
         let parameters = match (rung, elsewhere) {
             (None, _) => Vec::new(),
@@ -185,7 +185,8 @@ pub(super) fn candidates(
             let fall = before.score.nrms.powi(2) - after.score.nrms.powi(2);
             if explainable > 0.0 { 100.0 * fall / explainable } else { 0.0 }
         });
-        let is_sized = !(has_no_scale && is_tied(spec_unit(inferred.effect)));
+        let size = &inferred.effect.parameters()[inferred.effect.size_index()];
+        let is_sized = !(has_no_scale && is_tied(size.unit));
         let [bound, least] =
             [inferred.upper_bound, inferred.detectable].map(|size| size.filter(|_| is_sized));
         let mut candidate = Candidate {
@@ -203,7 +204,7 @@ pub(super) fn candidates(
             holdout_after: after.map(|after| after.score.nrms),
             explained_percent,
             as_good_as: None,
-            // The size of what is named has an interval, and one bound is enough.
+            // A named effect has an interval instead.
             upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
             detectable: least.filter(|_| why_open.is_none()),
             finding: match (open, inferred.why_not) {
@@ -230,7 +231,7 @@ pub(super) fn candidates(
     order.into_iter().enumerate().map(candidate).collect()
 }
 
-/// Parameters of what happened in the hold-out only.
+/// Parameters of an event that occurred in the hold-out only.
 fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
     let id = effect.card().id;
     let [low, high] = onset.interval_95_s;
@@ -252,22 +253,12 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
         .collect()
 }
 
-fn length_s(run: &Scenario) -> f64 {
-    let last = run.sample_time_s.last().copied();
-    last.map_or(0.0, |last| last - run.begin_s())
-}
-
-/// Unit of the parameter that gives the effect its size.
-fn spec_unit(effect: &dyn Effect) -> &'static str {
-    effect.parameters()[effect.size_index()].unit
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn words_follow_probabilities_and_what_is_named_is_never_not_excited() {
+    fn status_follows_probability_and_excitation() {
         for (probability, excited, word) in [
             (0.95, true, Status::Supported),
             (0.95, false, Status::Supported),

@@ -1,5 +1,5 @@
-//! A model beside a measurement: free run first, one-step and training figures small beside it; of a run without a voltage
-//! the torque that the model asks for beside the motor's, and its speed in short windows.
+//! Comparison of a model with a measurement: free run, one-step and training errors; of a run without a voltage
+//! the torque of the inverse model and the motor's, and its speed in short windows.
 
 use serde::Serialize;
 
@@ -39,7 +39,7 @@ pub struct TorqueComparison {
     /// Null where no floor is known.
     pub noise_floor: Option<f64>,
     pub holdout: SignalScore,
-    /// The relative error under each processing of the data: it depends on it, so it is never shown without it.
+    /// The relative error under each processing of the data, on which it depends.
     pub processing: Vec<ProcessingError>,
 }
 
@@ -89,7 +89,7 @@ pub struct Comparison {
     pub signals: Signals,
     #[serde(rename = "where")]
     pub locations: Vec<FailureLocation>,
-    /// What each equation lacks, the worse first.
+    /// Error of each equation's balance, the larger first.
     pub balances: Vec<EquationBalance>,
     /// The error over speed x current, on the hold-out.
     pub map: Option<ErrorMap>,
@@ -100,7 +100,7 @@ pub struct Comparison {
     pub holdout_from: HoldoutFrom,
     /// Root of the mean over the signals of `(rmse / noise)^2`, on the hold-out.
     pub holdout_rmse: f64,
-    /// What predicts the hold-out as well as the fitted model does: where such a model fails is no place in the machine.
+    /// What predicts the hold-out as well as the fitted model does; then no locations are reported.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub not_fitted: Option<TrivialPrediction>,
     /// What these runs cannot judge, and why.
@@ -113,36 +113,36 @@ impl Comparison {
         self.noise.is_at_the_floor(self.holdout_rmse)
     }
 
-    /// Of a fitted model that follows nothing of the machine: without the places where it fails.
-    fn without_places(mut self, not_fitted: Option<TrivialPrediction>) -> Self {
+    /// The comparison of a fitted model without predictive power: without locations.
+    fn without_locations(mut self, not_fitted: Option<TrivialPrediction>) -> Self {
         if not_fitted.is_some() {
             (self.locations, self.balances, self.map) = (Vec::new(), Vec::new(), None);
         }
         Self { not_fitted, ..self }
     }
 
-    /// The equation that fails worse; none where none fails.
+    /// The equation with the larger error; none where none fails.
     pub fn failing(&self) -> Option<&EquationBalance> {
         self.balances.first().filter(|balance| balance.fails)
     }
 
-    /// That it is not known which equation, or which variable, where two are within their uncertainty.
+    /// Whether the equation, or the variable, is undecided because two are within their uncertainty.
     pub fn undecided(&self) -> Option<Undecided> {
         undecided(&self.balances, &self.locations)
     }
 
-    /// Where it fails, and the places beside the one that is named. The balances of short windows and the residual of the whole
-    /// run are two tests: what one of them finds and the other does not is reported of both.
+    /// The location of the error, and the further ones. The balances of short windows and the residual of the whole
+    /// run are two tests, which may disagree.
     pub fn where_it_fails(&self) -> (Where, &[FailureLocation]) {
         match (self.undecided(), self.locations.as_slice()) {
             (Some(undecided), places) => (Where::Undecided(undecided), places),
             (None, [_, others @ ..]) => (Where::First, others),
-            (None, []) => (self.no_place(), &[]),
+            (None, []) => (self.without_location(), &[]),
         }
     }
 
-    /// Why no place is named.
-    fn no_place(&self) -> Where {
+    /// Why there is no location.
+    fn without_location(&self) -> Where {
         let lights = &self.residual;
         if self.not_fitted.is_some() {
             Where::NotFitted
@@ -169,16 +169,16 @@ pub enum Where {
     /// The model follows the run no better than a trivial prediction.
     NotFitted,
     NoBalance,
-    /// An equation fails, and its error follows none of the variables.
+    /// An equation fails, and its error depends on none of the variables.
     AlongNothing,
-    /// The errors follow nothing, and no noise is known to compare them with.
+    /// The errors depend on no variable, and no noise is known to compare them with.
     NoNoiseFloor,
     /// No equation fails in short windows, yet more than noise is left over the whole run.
     OverTheWholeRun,
     Nowhere,
 }
 
-/// Compares a complete model as it is; only the initial state is fitted. `error_of` says what the locations are of: a fitted
+/// Compares a complete model; only the initial state is fitted. `error_of` selects the located error: a fitted
 /// model ([`ErrorOf::Structure`]) that predicts the hold-out no better than a trivial prediction has none.
 pub fn compare(
     model: &Model,
@@ -198,13 +198,13 @@ pub fn compare(
     let known =
         |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
     let signal = |of: fn(&Score) -> Option<SignalScore>, level, one_step_rmse| {
-        let (here, there) = (of(&training)?, of(&holdout)?);
+        let (fitted, held_out) = (of(&training)?, of(&holdout)?);
         Some(SignalComparison {
-            fit_percent: here.fit_percent,
-            rmse: here.rmse,
+            fit_percent: fitted.fit_percent,
+            rmse: fitted.rmse,
             noise_floor: known(level),
             one_step_rmse,
-            holdout: there,
+            holdout: held_out,
         })
     };
     let judged = |residual: &[(f64, f64)], level: f64| {
@@ -234,10 +234,10 @@ pub fn compare(
         balances: located.balances,
         map: located.map,
     };
-    Ok(compared.without_places(not_fitted.flatten()))
+    Ok(compared.without_locations(not_fitted.flatten()))
 }
 
-/// What these runs cannot answer.
+/// Limits of these runs.
 fn limits(evidence: &Evidence, notes: impl Iterator<Item = Limit>) -> Vec<Limit> {
     let floor = evidence.noise.source == FloorSource::None;
     let split = evidence.holdout_from == HoldoutFrom::Split;
@@ -247,7 +247,7 @@ fn limits(evidence: &Evidence, notes: impl Iterator<Item = Limit>) -> Vec<Limit>
     limits
 }
 
-/// Each residual with the input that held then; the times ascend.
+/// Each residual with the input at its time; the times ascend.
 fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
     let events = &scenario.events;
     let mut event = 0;
@@ -257,8 +257,7 @@ fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
         }
         events[event].1
     };
-    let residual = residual.iter();
-    residual.map(|(time_s, value)| (*value, held(*time_s))).collect()
+    residual.iter().map(|(time_s, value)| (*value, held(*time_s))).collect()
 }
 
 /// Root mean square of the one-step prediction errors of current and speed on the training run.
@@ -295,14 +294,13 @@ impl Balance {
     ) -> Comparison {
         let reference = Sides::new(Method::InverseDynamics, model, evidence).ok();
         let both = [Some(&self.sides), reference.as_ref()].into_iter().flatten();
-        let processing = both.filter_map(|sides| processing_error(sides, model, fitted));
-        let processing = processing.collect();
+        let processing = both.filter_map(|sides| processing_error(sides, model, fitted)).collect();
         let training = self.score(model, &self.sides.training);
         let holdout = self.score(model, &self.sides.holdout);
         let figures = |score: &Score| score.torque.unwrap_or(SignalScore::UNKNOWN);
         let SignalScore { fit_percent, rmse, .. } = figures(&training);
         let speed_rad_s = speed(model, evidence);
-        // Where it fails is a help; a run that it cannot be told for is still compared.
+        // A run without a location is still compared.
         let Located { locations, balances, map, notes } =
             locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
         let torques = self.sides.holdout.left.iter().copied();
@@ -340,11 +338,11 @@ impl Balance {
             holdout_from: evidence.holdout_from,
             holdout_rmse: holdout.nrms,
         };
-        compared.without_places(not_fitted.flatten())
+        compared.without_locations(not_fitted.flatten())
     }
 }
 
-/// Errors of a model under one processing, which it is fitted to where that is asked.
+/// Errors of a model under one processing, fitted to it where `fitted`.
 fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<ProcessingError> {
     let relative = |rows: &TorqueRows, model: &Model| {
         let predicted = mechanical::predicted(&mechanical::with_events_of(model, rows), rows);

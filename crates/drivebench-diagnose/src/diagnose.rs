@@ -1,4 +1,4 @@
-//! The decision: which effects are missing, whether that is all, and what a run that had no part in it says of it.
+//! The decision: which effects are missing, whether they are sufficient, and whether an independent run confirms it.
 
 use serde::{Deserialize, Serialize};
 
@@ -26,9 +26,9 @@ use drivebench_model::plant::effect::{self, CATALOGUE};
 use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Share of the explainable error that unknown parts and the disturbance may make beside what is named.
+/// Largest share of the explainable error for unknown parts and the disturbance together, beside the named effects.
 const HALF_SHARE: f64 = 0.5;
-/// Standard deviations by which the named effects must make the confirming run likelier.
+/// Least increase of the confirming run's log-likelihood by the named effects, in its standard deviations.
 pub const CONFIRMED_SIGMAS: f64 = 3.0;
 /// Error that needs no explanation, in units of a floor that is known.
 const AT_MOST_NOISE: f64 = 1.0;
@@ -45,11 +45,11 @@ pub enum DiagnosisVerdict {
 }
 
 findings! {
-    /// What an answer comes to, and how far it may be relied on.
+    /// The kinds of an answer, by how far it is confirmed.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum Answer {
         Found = "effect_found",
-        /// The run that had no part in it contradicts it.
+        /// The confirming run contradicts it.
         NotConfirmed = "effect_not_confirmed",
         /// Much of the error is still unexplained.
         InPart = "effect_not_sufficient",
@@ -57,7 +57,7 @@ findings! {
         /// Effects are there, and the error was no more than noise without them.
         NoErrorLeft = "no_error_left",
         NothingMissing = "nothing_missing",
-        /// There are effects that these runs would not show, or not rule out.
+        /// Some effects are not detectable in these runs, or not ruled out.
         NothingThatShows = "nothing_missing_that_shows",
         NothingFound = "nothing_found",
         Unexplained = "unexplained",
@@ -66,7 +66,7 @@ findings! {
 }
 
 impl Answer {
-    /// Whether nothing is to be said against it.
+    /// Whether it holds without reservation.
     pub const fn is_whole(self) -> bool {
         matches!(self, Self::Found | Self::NothingMissing)
     }
@@ -88,11 +88,11 @@ pub struct Diagnosis {
     pub noise_floor_from: FloorSource,
     /// The sensors' noise, which is one where it is known: the unit of the errors.
     pub sensor_floor: Option<f64>,
-    /// What differs between two runs of the same excitation under the model with all named effects, in the same unit.
+    /// Difference between two runs of the same excitation under the model with all named effects, in the same unit.
     pub repeat_floor: Option<f64>,
     /// Whether that is little more than the sensors' noise; null without a repeated run.
     pub repeats: Option<bool>,
-    /// What it follows where it is more; the most first.
+    /// The variables on which it depends where it is more; the largest share first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub repeat_follows: Vec<FailureLocation>,
     pub holdout_from: HoldoutFrom,
@@ -101,28 +101,28 @@ pub struct Diagnosis {
     pub holdout_before: f64,
     pub holdout_after: f64,
     pub candidates: Vec<Candidate>,
-    /// What no effect explains, by what it follows.
+    /// Error that no effect explains, by the variable on which it depends.
     pub unknown: Vec<Unknown>,
-    /// Pairs that these runs do not tell apart, the one in the answer first.
+    /// Pairs that these runs do not distinguish, the one in the answer first.
     pub confusable: Vec<[&'static str; 2]>,
     pub ladder: Vec<Rung>,
-    /// Along which axis the error runs, and as what curve, where no effect explains it; the clearest first.
+    /// The error as a curve over each axis, where no effect explains it; the largest share first.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub axis_map: Vec<AxisMap>,
-    /// The answer on a run that had no part in it, where there is one: the headline.
+    /// The answer on the confirming run, where there is one.
     pub confirm: Option<Confirmation>,
     /// What these runs cannot judge, and why.
     pub limits: Vec<Limit>,
-    /// What the named effects cannot be told from by any run.
+    /// What no run distinguishes from the named effects.
     pub equivalences: Vec<&'static str>,
-    /// The run that would tell more; left to those who know the bench ([`recommend`](super::recommend)).
+    /// The most informative next run; filled in where the bench is known ([`recommend`](super::recommend)).
     pub next_experiment: Option<NextExperiment>,
     /// Whether the search ended by its budget of work before a set of effects stood: what it did not find may be there.
     pub search_was_cut: bool,
     /// Effects of the baseline that are not needed beside the others.
     #[serde(skip)]
     pub superfluous: Vec<&'static str>,
-    /// Effects that the model has got since, each with a candidate that these runs do not tell from it.
+    /// Effects added to the model since, each with a candidate that these runs do not distinguish from it.
     #[serde(skip)]
     pub added_rivals: Vec<[&'static str; 2]>,
     /// The refitted baseline and the model with every accepted effect.
@@ -130,7 +130,7 @@ pub struct Diagnosis {
     pub baseline: Fitted,
     #[serde(skip)]
     pub model: Fitted,
-    /// What was random in the runs, which the next run has to see through; none in an answer that was put together.
+    /// Noise of the runs, for the planning of the next run; none in an answer that was not computed from runs.
     #[serde(skip)]
     pub information_basis: Option<InformationBasis>,
     /// For each confusable pair the model with its second effect in the place of the first, where a fit begins.
@@ -176,25 +176,22 @@ impl Diagnosis {
             && confirm.is_none_or(is_noise)
     }
 
-    /// Whether every effect is ruled out, so that nothing may hide.
+    /// Whether every effect is ruled out.
     pub fn is_all_judged(&self) -> bool {
-        let mut candidates = self.candidates.iter();
-        candidates.all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
+        self.candidates.iter().all(|own| own.status == Status::RuledOut && own.as_good_as.is_none())
     }
 
-    /// Marks the candidates that these runs do not tell from effects that the model has got since: `pairs` of
+    /// Marks the candidates that these runs do not distinguish from effects added to the model since: `pairs` of
     /// an effect of the model and its rival.
-    pub fn remember_rivals(&mut self, pairs: &[[&'static str; 2]]) {
+    pub fn mark_rivals(&mut self, pairs: &[[&'static str; 2]]) {
         for candidate in &mut self.candidates {
             let of_pair = |pair: &&[&'static str; 2]| pair[1] == candidate.effect;
             if let Some([taken, _]) = pairs.iter().find(of_pair) {
                 candidate.is_as_good_as(taken);
             }
         }
-        let is_rival = |pair: &&[&'static str; 2]| {
-            let mut candidates = self.candidates.iter();
-            candidates.any(|own| own.effect == pair[1])
-        };
+        let is_rival =
+            |pair: &&[&'static str; 2]| self.candidates.iter().any(|own| own.effect == pair[1]);
         self.added_rivals.extend(pairs.iter().filter(is_rival));
     }
 
@@ -211,12 +208,10 @@ impl Diagnosis {
             if self.model.model.has(id) {
                 return Some((id, self.model.model.clone()));
             }
-            let mut candidates = self.candidates.iter();
-            let candidate = candidates.find(|candidate| candidate.effect == id)?;
+            let candidate = self.candidates.iter().find(|candidate| candidate.effect == id)?;
             let value = |key: &str| {
                 let key = format!("{id}.{key}");
-                let own = candidate.parameters.iter().find(|own| own.key == key)?;
-                own.value
+                candidate.parameters.iter().find(|own| own.key == key)?.value
             };
             let with = with_candidate(&self.baseline.model, id, value)?;
             Some((id, with))
@@ -227,14 +222,14 @@ impl Diagnosis {
         }
     }
 
-    /// Whether the run that had no part in the answer speaks against it.
+    /// Whether the confirming run contradicts the answer.
     pub fn is_refuted(&self) -> bool {
         let confirm = self.confirm.as_ref();
         confirm.is_some_and(|confirm| confirm.confirmed == Some(false))
     }
 }
 
-/// Refits `model` as the baseline and searches for what it misses, with nobody watching.
+/// [`diagnose_with`] without reports of progress.
 pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError> {
     diagnose_with(model, evidence, &silent)
 }
@@ -251,33 +246,32 @@ pub fn diagnose_with(
     progress(Event::Begun { stage: Stage::Screen, of: CATALOGUE.len() });
     let eligible = eligible(&baseline.model, None);
     let inference = bench.infer(&baseline, &eligible, progress)?;
-    // What a fit of runs behind each other cannot hold is known only now.
+    // Only the inference shows which effects cannot be fitted to concatenated runs.
     let found = inference.to_be_fitted();
-    let several = several.filter(|_| bench.has_several_runs());
+    let several = several.filter(|_| bench.evidence.parts.len() > 1);
     let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) else {
-        let concluded = Concluded::of(bench, &baseline, inference, progress)?;
-        return Ok(concluded.answer());
+        return Ok(Conclusion::of(bench, &baseline, inference, progress)?.answer());
     };
-    // With all runs and without what is bound to one of them, or with the first run alone: what foretells the hold-out better.
+    // All runs without the effects of a single one, or the first run alone: whichever predicts the hold-out better.
     let eligible_of_all = eligible.iter().filter(|effect| !effect.goes_on_over_runs());
     let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
     let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
-    let all = Concluded::of(bench, &baseline, of_all, progress)?;
+    let all = Conclusion::of(bench, &baseline, of_all, progress)?;
     let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
     let inference = bench.infer(&baseline, &eligible, progress)?;
-    let first = Concluded::of(bench, &baseline, inference, progress)?;
+    let first = Conclusion::of(bench, &baseline, inference, progress)?;
     let better = if all.held_out_by(&first)? < first.held_out_by(&first)? { all } else { first };
     Ok(better.answer())
 }
 
-/// A ladder of which no effect is vetoed, with what it rests on.
-struct Concluded {
+/// A ladder of which no effect is vetoed, with its runs and its inference.
+struct Conclusion {
     bench: Bench,
     inference: Inference,
     rungs: Vec<Standing>,
 }
 
-impl Concluded {
+impl Conclusion {
     fn of(
         bench: Bench,
         baseline: &Fitted,
@@ -315,15 +309,15 @@ impl Concluded {
     }
 }
 
-/// The rungs of a ladder of the effects `before` that one of the effects `now` passes too, without the baseline and without the
-/// last one of either, which is fitted to the end.
+/// The rungs that the ladders of the effects `before` and `now` share, without the baseline and without the last of either,
+/// which is fitted to convergence.
 fn passed(rungs: Vec<Standing>, before: &[&'static str], now: &[&'static str]) -> Vec<Standing> {
     let same = before.iter().zip(now).take_while(|(a, b)| a == b).count();
     let in_passing = same.min(now.len().saturating_sub(1));
     rungs.into_iter().skip(1).take(in_passing).collect()
 }
 
-/// Of an error that is not known nothing can be said.
+/// The error of a hold-out of which no signal is measured.
 fn nothing_judged(run: &Scenario) -> FitError {
     let run = run.name.clone();
     FitError::NothingMeasured { run }
@@ -337,20 +331,20 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
     let in_motion = repeatability.in_motion();
     let verdict = verdict(bench, inference, [&base.score, &best.score], in_motion);
     let axis_map = if verdict == DiagnosisVerdict::Unexplained {
-        // The maps are a help; without them the verdict stands.
+        // The maps do not change the verdict.
         axis_map(&best.fit.model, &evidence.training, &evidence.noise).unwrap_or_default()
     } else {
         Vec::new()
     };
     let eta = floor.explained(base.score.nrms, best.score.nrms);
     let settled = floor.is_reached(best.score.nrms);
-    let believed = bench.as_believed(&best.fit);
+    let reported = bench.as_reported(&best.fit);
     let named = &inference.named;
-    let judged = |believed: Fitted, rung: &Standing| {
-        believed.judged_by_what_is_left(rung.score.nrms, floor.expected())
+    let judged = |reported: Fitted, rung: &Standing| {
+        reported.judged_by_error(rung.score.nrms, floor.expected())
     };
-    let baseline = bench.as_believed(&bench.with_deviations(base.fit.clone(), inference));
-    let model = judged(believed, best).judged_beside(&inference.confusable);
+    let baseline = bench.as_reported(&bench.with_deviations(base.fit.clone(), inference));
+    let model = judged(reported, best).judged_beside(&inference.confusable);
     let baseline = judged(baseline, base);
     let candidates = candidates(evidence, floor, inference, (rungs, &model));
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;
@@ -362,7 +356,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         effect: named.first().copied(),
         effects: named.clone(),
         sufficient: match verdict {
-            // Without a floor, or in a run that would show nothing, nobody knows whether something is missing.
+            // Without a floor, or without excitation, it is not known whether an effect is missing.
             DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
             DiagnosisVerdict::Unexplained => false,
             _ => eta >= SUFFICIENT_SHARE || settled,
@@ -418,12 +412,11 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
 /// The motor's parameters of a fit.
 fn of_motor(fit: &Fitted) -> Vec<ParameterEstimate> {
     let own = fit.parameters.iter();
-    let own = own.filter(|own| MotorKey::from_key(&own.key).is_some());
-    own.cloned().collect()
+    own.filter(|own| MotorKey::from_key(&own.key).is_some()).cloned().collect()
 }
 
-/// The answer where the fitted model beats no trivial prediction: without names, bounds and places, which would all be about a
-/// model that follows nothing.
+/// The answer where the fitted model beats no trivial prediction: without names, bounds and locations, which would describe a
+/// model that predicts nothing.
 fn not_fitted(diagnosis: Diagnosis, reason: TrivialPrediction, base: &Standing) -> Diagnosis {
     let unknown = |own: &ParameterEstimate| match own.verdict {
         Verdict::Fixed => own.clone(),
@@ -433,7 +426,7 @@ fn not_fitted(diagnosis: Diagnosis, reason: TrivialPrediction, base: &Standing) 
             "the model predicts the hold-out no better than a trivial prediction",
         ),
     };
-    // Of the baseline, which is the model too: every output gives the same.
+    // The baseline is the model too, so that every output gives the same.
     let fit = Fitted {
         parameters: base.fit.parameters.iter().map(unknown).collect(),
         ..base.fit.clone()
@@ -467,10 +460,8 @@ fn not_fitted(diagnosis: Diagnosis, reason: TrivialPrediction, base: &Standing) 
 
 /// Models with the second effect of each confusable pair in the place of the first.
 fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
-    let pairs = inference.confusable.iter();
-    let models = pairs.filter_map(|[first, second]| {
-        let named = inference.named.iter();
-        let others = named.filter(|id| *id != first && *id != second);
+    let models = inference.confusable.iter().filter_map(|[first, second]| {
+        let others = inference.named.iter().filter(|id| *id != first && *id != second);
         let with = given.iter().chain(others).copied().chain([*second]);
         inference.with_effects(&with.collect::<Vec<&'static str>>())
     });
@@ -498,13 +489,13 @@ fn verdict(
     let unknown: f64 = inference.unknown.iter().map(|part| part.share_of_error).sum();
     let explainable = above(base.nrms).max(0.0);
     let unexplained = inference.disturbance_error.powi(2) + unknown * explainable;
-    // A free run that falls into step a moment late is far off though nothing is missing: one of the two will do, but
-    // names that take nothing from its error, or leave innovations that are not white, are no answer.
-    let is_led_astray = !bench.fits_at_once()
+    // A phase error makes a free run's error large though nothing is missing: then white innovations and a share of the
+    // error that the named effects explain are sufficient.
+    let has_phase_error_only = !bench.fits_at_once()
         && inference.is_nearly_white()
         && unexplained <= HALF_SHARE * explainable
         && floor.is_explained_in_part(base.nrms, best.nrms);
-    if !is_led_astray && !at_floor && above(best.nrms) > HALF_SHARE * explainable {
+    if !has_phase_error_only && !at_floor && above(best.nrms) > HALF_SHARE * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous
@@ -513,17 +504,17 @@ fn verdict(
     }
 }
 
-/// The answer on a run that had no part in it: neither fitted, nor selected by, nor used for the noise.
+/// The answer on an independent run: neither fitted, nor used for selection or for the noise.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Confirmation {
-    /// Whether the answer holds there: the named effects make the run likelier and explain a good part of its error; where
+    /// Whether the answer holds there: the named effects raise the likelihood and explain a good part of its error; where
     /// nothing is missing the error is at the floor; where something unexplained is missing it is above. Null where the
     /// answer claims nothing, or the run cannot be judged.
     pub confirmed: Option<bool>,
     /// Error without and with the named effects, in units of the noise.
     pub error_before: Option<f64>,
     pub error_after: Option<f64>,
-    /// By how many standard deviations the named effects make the run likelier; null where none is named.
+    /// Increase of the log-likelihood by the named effects in its standard deviations; null where none is named.
     pub z: Option<f64>,
     pub explained_percent: Option<f64>,
     #[serde(rename = "code")]
@@ -531,10 +522,10 @@ pub struct Confirmation {
 }
 
 findings! {
-    /// What the run shows that had no part in the answer.
+    /// What the confirming run shows.
     #[derive(Clone, Debug, Default, PartialEq, Eq)]
     pub enum ConfirmationFinding {
-        /// What the named effects take from its error; whether what is left there is no more than noise.
+        /// Of the named effects; whether the error that they leave is no more than noise.
         Effects { explains_it: bool } = "effects_judged_there",
         NoNoiseFloor = "no_noise_floor",
         AtTheFloorToo = "error_at_the_floor_there_too",
@@ -548,7 +539,7 @@ findings! {
     }
 }
 
-/// What the confirming run shows of an answer, `noise` being what is random beside both of its models; none without such a run.
+/// What the confirming run shows of an answer, `noise` being that of both models; none without such a run.
 /// `in_motion`: how much noisier the sensors are in motion than at rest.
 fn confirmed(
     bench: &Bench,
@@ -618,7 +609,7 @@ mod tests {
     }
 
     #[test]
-    fn a_named_effect_is_confirmed_where_it_is_and_not_where_it_is_not() {
+    fn a_named_effect_is_confirmed_only_by_a_run_with_it() {
         let fan = truth("quadratic_load", &[2e-6]);
         let data = evidence(&fan, 1);
         let there = diagnose(&nameplate(), data.clone()).unwrap();
@@ -628,7 +619,7 @@ mod tests {
         assert!(found.z.unwrap() > CONFIRMED_SIGMAS && found.explained_percent.unwrap() > 90.0);
         assert!(found.error_after.unwrap() < 1.15 && found.error_before.unwrap() > 1.5);
 
-        // The fan was taken off for the third run: the same answer, since that run has no part in it, and no confirmation.
+        // The third run without the fan: the same answer, which does not depend on that run, and no confirmation.
         let mut off = data;
         off.confirm = Some(record(&nameplate(), 2, 77));
         let elsewhere = diagnose(&nameplate(), off).unwrap();
@@ -645,14 +636,14 @@ mod tests {
             explained_percent: 0.0,
             ..there
         };
-        // But a run that had no part in it and leaves more has an error to explain.
+        // A confirming run with a larger error has one to explain.
         assert_eq!(below.answer(), Answer::Found);
         let below = Diagnosis { confirm: None, ..below };
         assert_eq!(below.answer(), Answer::NoErrorLeft);
     }
 
     #[test]
-    fn that_nothing_is_missing_is_confirmed_only_where_the_error_is_at_the_floor() {
+    fn a_complete_model_is_confirmed_only_by_an_error_at_the_floor() {
         let mut data = evidence(&nameplate(), 2);
         let nothing = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(nothing.verdict, DiagnosisVerdict::None);
@@ -662,7 +653,7 @@ mod tests {
         let hidden = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(hidden.verdict, DiagnosisVerdict::None);
         assert_eq!(third(&hidden).confirmed, Some(false));
-        // What one run contradicts is not said.
+        // A contradicted answer is not called sufficient.
         assert!(!hidden.sufficient && nothing.sufficient);
         assert_eq!(nothing.answer(), Answer::NothingMissing);
         assert_eq!(hidden.answer(), Answer::NothingFound);
@@ -672,7 +663,7 @@ mod tests {
     }
 
     #[test]
-    fn the_noise_floor_owes_nothing_to_the_confirming_run() {
+    fn the_noise_floor_does_not_use_the_confirming_run() {
         let data = evidence(&nameplate(), 3);
         let mut loud = record(&nameplate(), 2, 79);
         for (k, speed) in loud.speed_rad_s.iter_mut().enumerate() {

@@ -1,4 +1,4 @@
-//! Tests of events, which happen once in a run: named with their moment, in the runs in which they happened and in no other.
+//! Tests of events, which occur once in a run: identified with their time, in the runs in which they occurred only.
 
 use super::kit::{candidate, nameplate, record, truth};
 use super::*;
@@ -6,8 +6,8 @@ use crate::joint::answer::RunOf;
 use drivebench_model::plant::{Model, Scenario, effect, testing};
 use drivebench_model::sample::Verdict;
 
-/// Steps of the voltage all along, in both directions: at every moment the shaft turns and its speed changes.
-fn lively(model: &Model, shift: usize, seed: u64) -> Scenario {
+/// Steps of the voltage throughout, in both directions: persistent excitation.
+fn steps(model: &Model, shift: usize, seed: u64) -> Scenario {
     let levels = [30.0, 60.0, 45.0, 75.0, 20.0, 70.0, 35.0];
     let step = |step: usize| {
         let level = levels[(step * (1 + shift) + shift) % levels.len()];
@@ -25,8 +25,8 @@ fn with(id: &str, size: f64, time_s: Option<f64>) -> Model {
 
 /// Fit run and hold-out with the event at these times, or without it.
 fn evidence(id: &str, size: f64, [fit, holdout]: [Option<f64>; 2], seed: u64) -> Evidence {
-    let training = lively(&with(id, size, fit), 0, 10 * seed);
-    let holdout = lively(&with(id, size, holdout), 1, 10 * seed + 1);
+    let training = steps(&with(id, size, fit), 0, 10 * seed);
+    let holdout = steps(&with(id, size, holdout), 1, 10 * seed + 1);
     Evidence::new(training, Some(holdout), None)
 }
 
@@ -35,7 +35,7 @@ const PERIOD_S: f64 = 0.01;
 const FEW: f64 = 2.5;
 
 #[test]
-fn an_event_is_named_with_its_moment_in_the_runs_in_which_it_happened() {
+fn an_event_is_named_with_its_time_and_its_runs() {
     for (id, size, times_s) in [
         ("load_step", 0.1, [Some(5.02), None]),
         ("one_sided_load", 0.1, [None, Some(3.13)]),
@@ -64,7 +64,7 @@ fn an_event_is_named_with_its_moment_in_the_runs_in_which_it_happened() {
             assert!((own.value.unwrap() / size - 1.0).abs() < 0.1, "{own:?}");
         }
     }
-    // The same rule for whoever adds it by hand.
+    // The same rule for `add`.
     let data = evidence("inertia_change", 0.3, [Some(5.02), None], 4);
     let change = effect::find("inertia_change").unwrap();
     let added = add(change, &nameplate(), data).unwrap();
@@ -72,10 +72,10 @@ fn an_event_is_named_with_its_moment_in_the_runs_in_which_it_happened() {
 }
 
 #[test]
-fn in_one_direction_a_pull_is_not_told_from_a_friction() {
+fn in_one_direction_a_load_is_not_distinguished_from_friction() {
     let one_way = |size: Option<f64>, shift: usize, seed: u64| {
         let model = with("one_sided_load", 0.15, size);
-        let mut events = lively(&model, shift, seed).events;
+        let mut events = steps(&model, shift, seed).events;
         for event in &mut events {
             event.1 = event.1.abs();
         }
@@ -87,7 +87,7 @@ fn in_one_direction_a_pull_is_not_told_from_a_friction() {
     let mut pair = found.confusable[0];
     pair.sort_unstable();
     assert_eq!(pair, ["load_step", "one_sided_load"]);
-    // Neither is the likelier one for having been fitted, and no value holds before it is known which.
+    // Being fitted makes neither the likelier one, and no value is settled while the pair is ambiguous.
     for id in pair {
         let own = candidate(&found, id).probability;
         assert!((0.3..0.7).contains(&own), "{id}: {own}");
@@ -98,7 +98,7 @@ fn in_one_direction_a_pull_is_not_told_from_a_friction() {
 }
 
 #[test]
-fn where_nothing_happened_no_event_is_likely() {
+fn without_an_event_none_is_probable() {
     let mut complete = 0;
     for seed in 0..10 {
         let data = evidence("load_step", 0.0, [None, None], 30 + seed);
@@ -110,25 +110,25 @@ fn where_nothing_happened_no_event_is_likely() {
             assert!(event.probability < 0.1, "{id}: {}", event.probability);
         }
     }
-    // The floor of 28 samples at rest is too low by more than it allows for in one case of two hundred, or nearly.
+    // The floor of 28 samples at rest is too low by more than its allowance in about one case of two hundred.
     assert!(complete >= 9, "{complete}");
 }
 
 #[test]
-fn what_was_there_before_either_run_moved_is_no_event() {
-    // Friction that falls with the speed from the outset, which no effect that is always there has the sign for.
+fn an_effect_from_before_the_first_motion_is_no_event() {
+    // Friction that falls with the speed from the begin: no permanent effect has that sign.
     let machine = truth("friction_onset", &[-3e-4, 0.1]);
     let data = Evidence::new(record(&machine, 0, 71), Some(record(&machine, 1, 72)), None);
     let found = diagnose(&nameplate(), data).unwrap();
     assert!(!found.effects.contains(&"friction_onset"), "{:?}", found.effects);
 }
 
-/// A run of the commands that came, of which those that were asked for are known.
-fn asked(came: Vec<(f64, f64)>, asked: Vec<(f64, f64)>, end_s: f64, seed: u64) -> Scenario {
-    Scenario { events: asked, ..testing::record(&nameplate(), came, PERIOD_S, end_s, seed) }
+/// A run under the commands `applied` whose record has the commands `events`.
+fn run(applied: Vec<(f64, f64)>, events: Vec<(f64, f64)>, end_s: f64, seed: u64) -> Scenario {
+    Scenario { events, ..testing::record(&nameplate(), applied, PERIOD_S, end_s, seed) }
 }
 
-/// A machine whose drive lets each start from rest wait, as the commands that were given say nothing of.
+/// A drive that delays each start from rest, which the recorded commands do not show.
 fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
     let commands = |delay_s: f64| {
         let starts = levels.iter().enumerate().flat_map(|(start, level)| {
@@ -139,21 +139,21 @@ fn waiting(levels: &[f64], delay_s: f64, seed: u64) -> Scenario {
         std::iter::once((0.0, 0.0)).chain(starts).collect()
     };
     let end_s = 0.3 + 2.9 * levels.len() as f64;
-    asked(commands(delay_s), commands(0.0), end_s, seed)
+    run(commands(delay_s), commands(0.0), end_s, seed)
 }
 
-/// The same where it starts from rest once.
+/// The same with one start from rest.
 fn late(shift: usize, delay_s: f64, seed: u64) -> Scenario {
-    let given = lively(&nameplate(), shift, seed).events;
+    let given = steps(&nameplate(), shift, seed).events;
     let begin_s = given[1].0 + delay_s;
     let held = given.iter().rfind(|event| event.0 <= begin_s).unwrap().1;
-    let behind = given.iter().filter(|event| event.0 > begin_s).copied();
-    let came = [(0.0, 0.0), (begin_s, held)].into_iter().chain(behind);
-    asked(came.collect(), given, 7.5, seed)
+    let later = given.iter().filter(|event| event.0 > begin_s).copied();
+    let applied = [(0.0, 0.0), (begin_s, held)].into_iter().chain(later);
+    run(applied.collect(), given, 7.5, seed)
 }
 
 #[test]
-fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
+fn a_delay_of_each_start_is_distinguished_from_one_of_the_first() {
     let each = [40.0, 70.0, -50.0, 25.0];
     let other = [60.0, -30.0, 80.0, 45.0];
     let waits = [waiting(&each, 0.25, 1), waiting(&other, 0.25, 2)];
@@ -170,33 +170,33 @@ fn a_drive_that_lets_each_start_wait_is_told_from_one_that_begins_late() {
 }
 
 #[test]
-fn a_late_start_that_one_small_command_tells_of_is_not_named_beside_what_is_there() {
+fn a_start_delay_seen_in_one_small_command_only_is_not_named() {
     let machine = truth("stribeck_friction", &[0.16, 10.0]);
-    // It came to nothing long before the others: the current that it would have drawn is less than the sensor's noise.
-    let swallowed = |shift: usize, seed: u64| {
+    // A pulse that the drive ignores, long before the others: its current would be less than the sensor's noise.
+    let with_ignored_pulse = |shift: usize, seed: u64| {
         let mut run = record(&machine, shift, seed);
         run.events.splice(1..1, [(0.1, 0.03), (0.112, 0.0)]);
         run
     };
-    let data = Evidence::new(swallowed(0, 51), Some(swallowed(1, 52)), None);
+    let data = Evidence::new(with_ignored_pulse(0, 51), Some(with_ignored_pulse(1, 52)), None);
     let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.effects, ["stribeck_friction"]);
-    // More likely than not by the innovations, it is vetoed because it lowers no error, and the run would not
-    // show it; its probability stays what it is.
+    // More probable than not by the innovations, it is vetoed because it lowers no error, and it is not detectable in the
+    // run; the veto does not change its probability.
     let late = candidate(&found, "start_delay");
     assert!(late.probability > 0.5 && late.status == Status::NotExcited, "{}", late.probability);
     assert!(late.not_named.is_some(), "{late:?}");
 }
 
 #[test]
-fn runs_that_cannot_be_fitted_behind_each_other_are_set_aside() {
-    let first = |model: &Model| lively(model, 0, 31);
+fn runs_that_cannot_be_concatenated_are_set_aside() {
+    let first = |model: &Model| steps(model, 0, 31);
     for (id, values) in [("load_step", &[0.1, 3.02][..]), ("winding_heating", &[3e-3, 60.0])] {
         let machine = truth(id, values);
-        let evidence = Evidence::new(first(&machine), Some(lively(&machine, 1, 32)), None);
+        let evidence = Evidence::new(first(&machine), Some(steps(&machine, 1, 32)), None);
         let alone = diagnose(&nameplate(), evidence.clone()).unwrap();
         assert!(alone.effects.contains(&id), "{:?}", alone.effects);
-        let several = evidence.with_run(lively(&machine, 2, 33));
+        let several = evidence.with_run(steps(&machine, 2, 33));
         let found = diagnose(&nameplate(), several.clone()).unwrap();
         let is_aside =
             |own: &Limit| matches!(own, Limit::RunsSetAside(aside) if aside.effects.contains(&id));
@@ -205,15 +205,14 @@ fn runs_that_cannot_be_fitted_behind_each_other_are_set_aside() {
         assert_eq!((found.answer(), &found.effects), (alone.answer(), &alone.effects));
         assert!((found.holdout_after - alone.holdout_after).abs() < 1e-9);
         let effect = effect::find(id).unwrap();
-        let added = add(effect, &nameplate(), several.clone()).unwrap();
-        assert!(added.aside.is_some());
+        assert!(add(effect, &nameplate(), several.clone()).unwrap().aside.is_some());
         let compared = compare(&found.model.model, &several, ErrorOf::Structure).unwrap();
         assert!(compared.limits.iter().any(is_aside));
     }
-    // What holds in every run alike is fitted on both.
+    // An effect of every run is fitted to both.
     let machine = truth("quadratic_load", &[2e-6]);
-    let evidence = Evidence::new(first(&machine), Some(lively(&machine, 1, 32)), None);
-    let found = diagnose(&nameplate(), evidence.with_run(lively(&machine, 2, 33))).unwrap();
+    let evidence = Evidence::new(first(&machine), Some(steps(&machine, 1, 32)), None);
+    let found = diagnose(&nameplate(), evidence.with_run(steps(&machine, 2, 33))).unwrap();
     let is_aside = |own: &Limit| matches!(own, Limit::RunsSetAside(_));
     assert!(!found.limits.iter().any(is_aside), "{:?}", found.limits);
     assert!(found.effects.contains(&"quadratic_load"), "{:?}", found.effects);

@@ -1,4 +1,4 @@
-//! The runs that a diagnosis rests on, and the floor below which nothing can be seen.
+//! The runs of a diagnosis, and the noise floor below which no error is observable.
 
 use std::borrow::Cow;
 
@@ -38,7 +38,7 @@ pub struct Evidence {
     pub noise: NoiseFloor,
     /// A run of the same excitation as the first that is fitted.
     pub repeat: Option<Scenario>,
-    /// The runs that `training` puts behind each other, where it is more than one.
+    /// The runs that are concatenated in `training`, where it is more than one.
     pub parts: Vec<Scenario>,
     /// When each of them begins there, s after its first input.
     pub begins_s: Vec<f64>,
@@ -69,7 +69,7 @@ fn moves(part: &Scenario, all: &Scenario, noise: &NoiseFloor) -> bool {
 impl Evidence {
     /// Takes the noise floor from the standstills of the fit run and the hold-out, else leaves the signals scaled by their
     /// spread until a baseline is fitted ([`Evidence::with_baseline`]). The confirming run has no part in anything that is
-    /// decided, and so none in the floor.
+    /// decided, hence none in the floor.
     pub fn new(fit_run: Scenario, holdout: Option<Scenario>, confirm: Option<Scenario>) -> Self {
         let rests: Vec<NoiseFloor> = [Some(&fit_run), holdout.as_ref()]
             .into_iter()
@@ -109,7 +109,7 @@ impl Evidence {
         }
     }
 
-    /// The same with one run more to fit, behind those that are fitted: what is known of the machine stays known.
+    /// The same with one run more to fit, appended to those that are fitted.
     #[must_use]
     pub fn with_run(mut self, run: Scenario) -> Self {
         if self.parts.is_empty() {
@@ -121,9 +121,9 @@ impl Evidence {
         self
     }
 
-    /// The same without the runs behind the first one that is fitted.
+    /// The same with the first of the fitted runs only.
     #[must_use]
-    pub(super) fn of_the_first(mut self) -> Self {
+    pub(super) fn first_run_only(mut self) -> Self {
         if !self.parts.is_empty() {
             self.training = self.parts.swap_remove(0);
             self.parts = Vec::new();
@@ -132,8 +132,8 @@ impl Evidence {
         self
     }
 
-    /// The same for a fit of these effects: where one of them happens once, counts from the first command of a run or keeps a
-    /// state, runs behind each other cannot be fitted as one, and the first is left alone, with what was set aside.
+    /// The same for a fit of these effects: where one of them is an event, counts from the first command of a run or has a
+    /// state, the runs cannot be concatenated; then the first run only, with the runs that were set aside.
     #[must_use]
     pub fn fitted_with(&self, effects: &[&'static str]) -> (Cow<'_, Self>, Option<SetAside>) {
         let goes_on = |id: &&&str| effect::find(id).is_none_or(Effect::goes_on_over_runs);
@@ -146,7 +146,7 @@ impl Evidence {
             effects: ids,
             first: self.first_run().name.clone(),
         };
-        (Cow::Owned(self.clone().of_the_first()), Some(aside))
+        (Cow::Owned(self.clone().first_run_only()), Some(aside))
     }
 
     /// The run that is fitted, the first of several.
@@ -154,9 +154,9 @@ impl Evidence {
         self.parts.first().unwrap_or(&self.training)
     }
 
-    /// The runs that speak, each as it was recorded and the one that is fitted first, and the place of the one that is held
-    /// out. Where one run was split the whole of it speaks.
-    pub(super) fn speaking(&self) -> (Vec<&Scenario>, usize) {
+    /// All runs as recorded, the fitted one first, and the index of the one that is held
+    /// out. A split run is whole.
+    pub(super) fn recorded_runs(&self) -> (Vec<&Scenario>, usize) {
         let later = self.parts.iter().skip(1);
         match self.holdout_from {
             HoldoutFrom::Run => {
@@ -170,13 +170,8 @@ impl Evidence {
         }
     }
 
-    /// When each of the runs in `training` begins there, s after its first input.
-    pub(super) fn begins_s(&self) -> &[f64] {
-        &self.begins_s
-    }
-
-    /// The same with the beginning of runs that are longer than a search can hold, and what of them it is. What
-    /// comes behind has no part in the answer: it confirms it, where no other run does.
+    /// The same with runs longer than a search can hold shortened to their beginning, and the parts that are searched. The
+    /// rest is the confirming run where there is no other.
     pub(super) fn shortened(mut self) -> (Self, Option<Limit>) {
         if self.training.input != Input::Voltage {
             return (self, None);
@@ -189,7 +184,7 @@ impl Evidence {
             self.begins_s = vec![0.0];
             let most_of_first = match self.holdout_from {
                 HoldoutFrom::Run => most,
-                // So that what is fitted of it is its part.
+                // Its training share is then `most`.
                 HoldoutFrom::Split => whole(most as f64 / TRAINING_SHARES[0]),
             };
             self.training = first.unwrap_or(self.training);
@@ -235,7 +230,7 @@ impl Evidence {
             return (self, None);
         }
         if let Some(repeat) = &mut self.repeat {
-            // As the run that it repeats, so that both begin at the same moment.
+            // As the run that it repeats, so that both begin at the same time.
             let most = match self.holdout_from {
                 HoldoutFrom::Run => MOST_SAMPLES,
                 HoldoutFrom::Split => MOST_SAMPLES_OF_ONE,
@@ -266,8 +261,8 @@ impl Evidence {
         self.holdout.scored.len() as f64 / self.holdout.samples().max(1) as f64
     }
 
-    /// Whether a signal of the held-out part moves: a model that stays where it is predicts a steady one, and nothing can be
-    /// told by it.
+    /// Whether a signal of the held-out part changes: a constant predicts a steady one as well, so that nothing can be
+    /// concluded from it.
     pub(super) fn holdout_moves(&self) -> bool {
         let all = match self.holdout_from {
             HoldoutFrom::Run => &self.training,
@@ -276,8 +271,8 @@ impl Evidence {
         moves(&self.holdout, all, &self.noise)
     }
 
-    /// Measured signals that the judgement does without, each with the reason, of runs that a voltage drives (the others are
-    /// judged by their torque balance); and that the hold-out does not move.
+    /// Measured signals that are not judged, each with the reason, of runs that a voltage drives (the others are
+    /// judged by their torque balance); and a hold-out that does not change.
     pub fn unjudged(&self) -> Vec<Limit> {
         let still = (!self.holdout_moves()).then_some(Limit::HoldoutStill);
         if self.training.input != Input::Voltage {
@@ -295,8 +290,7 @@ impl Evidence {
     /// Of a signal whose noise is `level`, infinite where that is not known.
     fn why_unjudged(&self, signal: Signal, level: f64) -> Option<Unjudged> {
         let [fitted, held_out] = [&self.training, &self.holdout].map(|run| {
-            let values = signal(run)[run.scored.clone()].iter();
-            values.filter(|value| value.is_finite()).count()
+            signal(run)[run.scored.clone()].iter().filter(|value| value.is_finite()).count()
         });
         if fitted == 0 {
             return (held_out > 0).then_some(Unjudged::OnlyInHoldout);
@@ -325,8 +319,7 @@ impl Evidence {
         if self.noise.source == FloorSource::None {
             let score = Score::of(&fit.model, &self.training, &self.noise)?;
             let level = |signal: Option<SignalScore>| {
-                let left = signal.map(|signal| signal.rmse).filter(|rmse| *rmse > 0.0);
-                left.unwrap_or(f64::INFINITY)
+                signal.map(|signal| signal.rmse).filter(|rmse| *rmse > 0.0).unwrap_or(f64::INFINITY)
             };
             self.noise.current_a = level(score.current);
             self.noise.speed_rad_s = level(score.speed);
@@ -356,15 +349,15 @@ impl Evidence {
 }
 
 /// Samples of a run that are searched for what is missing, at most: time and memory grow with them, and what a minute at
-/// 1 kHz does not show is hardly worth a name. Of one run that is split as many train.
+/// 1 kHz does not show is of no practical size. Of one run that is split as many train.
 const MOST_SAMPLES: usize = 60_000;
 const MOST_SAMPLES_OF_ONE: usize = 100_000;
-/// Share of them that a leading standstill may take: it tells the noise.
-const AT_REST_SHARE: usize = 10;
+/// One part in so many of them is the most that a leading standstill takes, from which the noise is estimated.
+const AT_REST_DIVISOR: usize = 10;
 
 /// What was cut from a long run.
 struct Cut {
-    /// The run from the same beginning, of which only what comes behind the searched part counts.
+    /// The run from the same begin, of which only the part after the searched one is scored.
     behind: Option<Scenario>,
     searched: SearchedPart,
 }
@@ -375,8 +368,7 @@ fn shorten(run: &mut Scenario, most: usize, role: LongRun) -> Option<Cut> {
     if samples <= most {
         return None;
     }
-    let at_rest = run.leading_standstill().end;
-    let first = at_rest.saturating_sub(most / AT_REST_SHARE);
+    let first = run.leading_standstill().end.saturating_sub(most / AT_REST_DIVISOR);
     let end = (first + most).min(samples);
     let behind = (end < samples).then(|| {
         let mut behind = run.stretch(first..samples);
@@ -445,7 +437,7 @@ fn nearest_in_time(points: &[(f64, f64)], time_s: f64) -> Option<f64> {
     ((nearest.0 - time_s).abs() < SAME_INSTANT_S).then_some(nearest.1)
 }
 
-// Whether two runs are one: a hold-out that has been fitted tests nothing.
+// Whether two runs are the same record: a hold-out that has been fitted validates nothing.
 
 /// Samples below which equal ones may be chance.
 const FEWEST_MOVING: usize = 20;
@@ -464,7 +456,7 @@ fn shared(run: &Scenario, other: &Scenario, later_s: f64) -> f64 {
     let mut before = [0.0; 2];
     for (sample, time_s) in other.sample_time_s.iter().enumerate() {
         let values = [other.current_a[sample], other.speed_rad_s[sample]];
-        // A sensor that repeats itself, as at rest, says nothing of where the data come from.
+        // A constant reading, as at rest, does not identify the record.
         let moves = values
             .iter()
             .zip(&before)
@@ -530,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_held_out_moves_where_any_part_of_the_run_does() {
+    fn the_held_out_part_moves_where_the_run_does() {
         let model = nameplate();
         let of = |events: &[(f64, f64)]| {
             Evidence::new(record(&model, events.to_vec(), 4e-3, 10.0, 5), None, None)
@@ -546,7 +538,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_long_run_the_beginning_is_searched_and_the_rest_confirms() {
+    fn of_a_long_run_the_begin_is_searched_and_the_rest_confirms() {
         let (model, long) = run(30.0, 150.0);
         let (evidence, limit) = Evidence::new(long.clone(), None, None).shortened();
         let whole = searched(limit.as_ref());
@@ -578,7 +570,7 @@ mod tests {
         assert_eq!(evidence.training.samples(), 60_000);
         let begin_s = evidence.training.begin_s() + evidence.begins_s[1];
         assert!((evidence.training.sample_time_s[30_000] - begin_s).abs() < 1e-9);
-        // What repeats the first run begins where that does.
+        // The repeated run begins where the first does.
         let repeat = evidence.repeat.as_ref().unwrap();
         let first = evidence.first_run();
         assert_eq!(repeat.sample_time_s[..30_000], first.sample_time_s[..]);
@@ -589,7 +581,7 @@ mod tests {
     }
 
     #[test]
-    fn a_third_run_begins_where_it_was_put() {
+    fn a_third_run_is_appended_with_its_begin() {
         let (_, first) = run(0.5, 4.0);
         let slow =
             drivebench_model::plant::testing::record(&nameplate(), vec![(0.0, 30.0)], 0.05, 5.0, 3);
@@ -597,19 +589,19 @@ mod tests {
         let evidence = evidence.with_run(slow.clone()).with_run(first.clone());
         let training = &evidence.training;
         let places = [0, first.samples(), first.samples() + slow.samples()];
-        for (place, begin_s) in places.into_iter().zip(evidence.begins_s()) {
+        for (place, begin_s) in places.into_iter().zip(&evidence.begins_s) {
             let there_s = training.sample_time_s[place] - training.begin_s();
             let behind_s = if place == first.samples() { &slow } else { &first };
             let behind_s = behind_s.sample_time_s[0] - behind_s.begin_s();
             assert!((there_s - begin_s - behind_s).abs() < 1e-9, "{place}");
         }
-        let alone = evidence.of_the_first();
+        let alone = evidence.first_run_only();
         assert_eq!(alone.training.samples(), first.samples());
-        assert_eq!(alone.begins_s(), [0.0]);
+        assert_eq!(alone.begins_s, [0.0]);
     }
 
     #[test]
-    fn what_a_search_can_hold_stays_as_it_is() {
+    fn a_short_run_is_not_cut() {
         let (_, short) = run(0.5, 20.0);
         let (evidence, limit) = Evidence::new(short.clone(), Some(short), None).shortened();
         assert!(limit.is_none() && evidence.confirm.is_none());
@@ -617,7 +609,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_of_its_own_that_confirms_is_not_replaced() {
+    fn a_confirming_run_is_not_replaced() {
         let (_, long) = run(0.5, 70.0);
         let (_, short) = run(0.5, 20.0);
         let evidence = Evidence::new(long, Some(short.clone()), Some(short.clone()));
@@ -651,7 +643,7 @@ mod tests {
     }
 
     #[test]
-    fn a_sensor_that_shows_only_zero_proves_nothing() {
+    fn zeros_alone_are_no_copy() {
         let mut still = step(1);
         still.current_a.fill(0.0);
         still.speed_rad_s.fill(0.0);

@@ -1,8 +1,8 @@
-//! Whose run is it? Resistance and back-EMF constant of the motor in a run, and whether two runs are of one motor.
+//! Resistance and back-EMF constant of the motor in a run, and whether two runs are of one motor.
 //!
-//! Only the armature circuit is asked: its current is simulated from the voltage and the *measured* speed, exactly between
-//! samples, and `R`, `L`, `Ke` are fitted (Gauss-Newton), so that no load, friction or missing torque disturbs the
-//! answer, at any sampling period. A winding moves `R` by up to 40 % as it warms, a magnet `Ke` by 0.2 % a kelvin at
+//! Only the armature circuit is simulated: its current from the voltage and the *measured* speed, exactly between
+//! samples; `R`, `L`, `Ke` are fitted (Gauss-Newton), so that no load, friction or missing torque biases the
+//! estimate, at any sampling period. A warm winding raises `R` by up to 40 %, a magnet changes `Ke` by 0.2 %/K at
 //! most: two runs are judged by `Ke`, and by `R` only beyond what warmth explains.
 
 use nalgebra::{DMatrix, DVector};
@@ -14,7 +14,7 @@ use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
 
 /// Settings of the fit of the armature circuit, and thresholds of the comparison.
 struct Settings {
-    /// Samples that are looked at: enough for any motor, and the cost stays bounded.
+    /// Most samples that are used: enough for any motor, at a bounded cost.
     most_samples: usize,
     /// Samples below which nothing is fitted.
     fewest_samples: usize,
@@ -24,12 +24,12 @@ struct Settings {
     iterations: usize,
     /// Relative step of the differences.
     step: f64,
-    /// Relative step of the fit below which it has arrived.
-    arrived: f64,
+    /// Relative step of the fit below which it has converged.
+    converged: f64,
     /// Largest move of a logarithm in one iteration.
     longest_move: f64,
-    /// Relative uncertainty above which a value says nothing about the motor.
-    vague_share: f64,
+    /// Relative standard deviation above which a value is not determined.
+    largest_std_share: f64,
     /// Standard deviations that a difference must exceed.
     clear_sigmas: f64,
     /// Relative difference of `Ke` from which on two motors are doubtful: a magnet 15 K warmer.
@@ -46,9 +46,9 @@ const SETTINGS: Settings = Settings {
     block_s: 0.25,
     iterations: 12,
     step: 1e-4,
-    arrived: 1e-5,
+    converged: 1e-5,
     longest_move: 0.7,
-    vague_share: 0.1,
+    largest_std_share: 0.1,
     clear_sigmas: 4.0,
     doubtful_back_emf_share: 0.03,
     other_back_emf_share: 0.06,
@@ -62,7 +62,7 @@ pub struct Value {
     pub std: f64,
 }
 
-/// What one run says of the motor in it.
+/// Estimates of the motor from one run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Fingerprint {
     pub resistance_ohm: Value,
@@ -73,12 +73,12 @@ pub struct Fingerprint {
 #[serde(rename_all = "snake_case")]
 pub enum Kinship {
     Same,
-    /// Not what one motor does in a day, but what a hot magnet may.
+    /// More than one motor changes within a day, but possible with a hot magnet.
     Doubtful,
     Other,
 }
 
-/// Two runs beside each other.
+/// Comparison of the motors of two runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MotorMatch {
     pub first: Fingerprint,
@@ -90,7 +90,7 @@ pub struct MotorMatch {
 }
 
 /// Fits `R`, `L` and `Ke` to a run from the values of `start`; `None` where the run has no voltage, current or speed, or
-/// does not tell them (a shaft at rest says nothing of `Ke`).
+/// does not determine them (`Ke` is not observable at rest).
 pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
     if scenario.input != Input::Voltage {
         return None;
@@ -135,19 +135,19 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
             largest = largest.max(step.abs());
         }
         covariance = solution.covariance;
-        if largest < SETTINGS.arrived {
+        if largest < SETTINGS.converged {
             break;
         }
-        if iteration + 1 == SETTINGS.iterations && largest > SETTINGS.vague_share {
+        if iteration + 1 == SETTINGS.iterations && largest > SETTINGS.largest_std_share {
             return None;
         }
     }
-    // The inductance is a nuisance: at coarse sampling it is the least certain.
+    // The inductance is a nuisance parameter: at coarse sampling it is the least certain.
     let of = |index: usize| {
         let value = x[index].exp();
         // Not a number where the run leaves it undetermined.
         let std = value * covariance[(index, index)].sqrt();
-        (std < SETTINGS.vague_share * value).then_some(Value { value, std })
+        (std < SETTINGS.largest_std_share * value).then_some(Value { value, std })
     };
     Some(Fingerprint { resistance_ohm: of(0)?, back_emf_v_s_per_rad: of(2)? })
 }
@@ -161,9 +161,8 @@ fn simulated(scenario: &Scenario, rows: &[usize], x: [f64; 3]) -> Vec<f64> {
     let mut current = scenario.current_a[rows[0]];
     let mut out = Vec::with_capacity(rows.len());
     out.push(current);
-    let begun = events.partition_point(|event| event.0 <= times[rows[0]]);
-    let mut event = begun.max(1) - 1;
-    // The same step comes again and again.
+    let mut event = events.partition_point(|event| event.0 <= times[rows[0]]).max(1) - 1;
+    // Equal steps share their exponential.
     let (mut last_step, mut last_decay) = (f64::NAN, 1.0);
     for pair in rows.windows(2) {
         let (begin_s, end_s) = (times[pair[0]], times[pair[1]]);
@@ -274,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_does_not_tell_gives_no_fingerprint() {
+    fn a_run_without_excitation_gives_no_fingerprint() {
         let start = nameplate();
         let mut still = run(&start, 0.001, 5);
         still.events = vec![(0.0, 0.0)];

@@ -13,16 +13,16 @@ use drivebench_model::plant::Model;
 
 /// Share of the explainable error from which a named set is sufficient.
 pub(super) const SUFFICIENT_SHARE: f64 = 0.9;
-/// The same below which a run that had no part in the answer does not confirm it.
+/// The same below which an independent run does not confirm it.
 const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
-/// Multiple of what holes of a record make on the average that they may make in one run: a few of them make most of it.
+/// Ratio of the largest error by gaps of a record in one run to their mean error: a few gaps make most of it.
 pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
 
-/// Error of a free run below which nothing can be told, in units of the sensors' noise.
+/// Noise floor of a free run's error, in units of the sensors' noise.
 #[derive(Clone, Copy)]
 pub(super) struct Floor<'a> {
     evidence: &'a Evidence,
-    /// What the commands of lost rows, which nobody knows, make of it: root mean square, in the same units.
+    /// Error by the unknown commands of lost rows: root mean square, in the same units.
     unobserved: f64,
 }
 
@@ -39,12 +39,12 @@ impl<'a> Floor<'a> {
         }
     }
 
-    /// Where it is on the average; zero where the noise is not known: nothing is below the floor then.
+    /// Its mean; zero where the noise is not known.
     pub(super) fn expected(self) -> f64 {
         self.with(self.unobserved)
     }
 
-    /// Where it may be in one run.
+    /// Its upper bound in one run.
     pub(super) fn highest(self) -> f64 {
         self.with(MOST_UNOBSERVED_RATIO * self.unobserved)
     }
@@ -59,7 +59,7 @@ impl<'a> Floor<'a> {
         explained(before, after, self.expected())
     }
 
-    /// Whether a good part of what lies above the floor, raised by what that is uncertain by, is explained.
+    /// Whether a good part of the error above the floor, with its tolerance, is explained.
     pub(super) fn is_explained_in_part(self, before: f64, after: f64) -> bool {
         let highest = self.highest() * self.evidence.noise.tolerance(1.0);
         before <= highest || explained(before, after, highest) >= EXPLAINS_SOMETHING_SHARE
@@ -83,17 +83,17 @@ const REPEATS_RATIO: f64 = 1.5;
 /// Two runs of the same excitation, each with its own fit of one model.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Repeatability {
-    /// What differs between them, in units of the sensors' noise.
+    /// Their difference, in units of the sensors' noise.
     pub(super) floor: Option<f64>,
-    /// What the difference follows, where it is more than noise; the most first.
+    /// The variables on which the difference depends where it is more than noise; the largest share first.
     pub(super) follows: Vec<FailureLocation>,
     /// Why nothing is known of it, where a run was repeated.
     pub(super) why_not: Option<RepeatUnknown>,
 }
 
 impl Repeatability {
-    /// Under `model`, with what is random in the runs beside it; empty without a repeated run, or where the sensors' noise is
-    /// not known at rest. Where lost rows make much of what two runs differ by, they do whether the machine repeats or not.
+    /// Under `model` with the noise of the runs; empty without a repeated run, or where the sensors' noise is
+    /// not known at rest. Where lost rows make much of the difference, it is not known whether the machine repeats.
     pub(super) fn of(model: &Model, evidence: &Evidence, noise: Noise) -> Self {
         let is_known = evidence.noise.source == FloorSource::Standstill;
         let Some(repeat) = evidence.repeat.as_ref().filter(|_| is_known) else {
@@ -131,7 +131,7 @@ impl Repeatability {
         self.floor.map(|floor| floor <= REPEATS_RATIO)
     }
 
-    /// A sensor may be a little noisier in motion than at rest, which a repeated run tells: by so much.
+    /// Ratio of the sensors' noise in motion to that at rest, as far as a repeated run shows it.
     pub(super) fn in_motion(&self) -> f64 {
         self.floor.map_or(1.0, |floor| floor.clamp(1.0, REPEATS_RATIO))
     }
@@ -143,7 +143,7 @@ mod tests {
     use drivebench_model::plant::testing::with_a_fan;
 
     #[test]
-    fn what_lost_rows_hide_is_no_error_of_the_model() {
+    fn lost_rows_raise_the_floor() {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         assert_eq!(evidence.noise.source, FloorSource::Standstill);
         let (whole, lossy) = (Floor::new(&evidence, 0.0), Floor::new(&evidence, 0.75));

@@ -1,4 +1,4 @@
-//! Machines whose truth is known and the runs that they give, for the tests of this room.
+//! Machines with known parameters and their runs, for the tests of this crate.
 
 use super::{Candidate, Diagnosis, Evidence};
 use drivebench_model::plant::{ActiveEffect, Model, Motor, Scenario, effect, testing};
@@ -23,10 +23,9 @@ pub(super) fn truth(id: &str, values: &[f64]) -> Model {
     with(nameplate(), &[(id, values)])
 }
 
-/// Levels of the voltage, held from these times on, behind a rest.
+/// Levels of the voltage, held from these times on, after a rest.
 pub(super) fn held(levels_v: &[f64], hold_s: f64) -> Vec<(f64, f64)> {
-    let levels = levels_v.iter().enumerate();
-    let held = levels.map(|(k, level_v)| (0.5 + hold_s * k as f64, *level_v));
+    let held = levels_v.iter().enumerate().map(|(k, level_v)| (0.5 + hold_s * k as f64, *level_v));
     std::iter::once((0.0, 0.0)).chain(held).collect()
 }
 
@@ -49,13 +48,12 @@ pub(super) fn evidence(truth: &Model, seed: u64) -> Evidence {
     Evidence::new(run(0), Some(run(1)), Some(run(2)))
 }
 
-/// What a diagnosis says of an effect.
+/// The candidate of an effect.
 pub(super) fn candidate<'a>(diagnosis: &'a Diagnosis, id: &str) -> &'a Candidate {
-    let mut candidates = diagnosis.candidates.iter();
-    candidates.find(|candidate| candidate.effect == id).unwrap()
+    diagnosis.candidates.iter().find(|candidate| candidate.effect == id).unwrap()
 }
 
-/// The names of an answer in the order of the alphabet.
+/// The names of an answer in alphabetical order.
 pub(super) fn names(diagnosis: &Diagnosis) -> Vec<&'static str> {
     let mut names = diagnosis.effects.clone();
     names.sort_unstable();

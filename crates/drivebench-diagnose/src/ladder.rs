@@ -1,8 +1,8 @@
 //! The ladder of models: each rung a fitted model with its error on the hold-out; one up with an effect more, one down with
 //! an effect less.
 //!
-//! A run observes a model in one of two ways: by the free run of what a voltage drives, or by the balance of torques of
-//! what a torque or a current drives. [`Bench`] hides which it is from whoever fits and judges models.
+//! A model is judged in one of two ways: by its free run where a voltage drives, or by the balance of torques where
+//! a torque or a current does. [`Bench`] is the common interface of both.
 
 use std::borrow::Cow;
 
@@ -20,6 +20,7 @@ use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
 use super::trivial::{self, TrivialPrediction};
 use super::vetoes::{self, Veto, VetoReason};
 use super::work::iterations_of;
+use drivebench_identify::claims::without_current;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_identify::scheme::Identified;
@@ -28,21 +29,21 @@ use drivebench_model::numerics::levenberg_marquardt::Options;
 use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
-/// Standard deviations below which a size may as well be zero: in a free run, before which the names have been weighed
+/// Standard deviations below which a size is not significant: in a free run, before which the names have been weighed
 /// already, and in the balance of torques, which decides on them.
-pub(super) const A_SIZE_SIGMAS: f64 = 1.0;
-const A_SIZE_IN_THE_BALANCE_SIGMAS: f64 = 2.0;
-/// Growth of the held-out error from which on parameters that were found along the run do not foretell another one.
+pub(super) const SIGNIFICANT_SIGMAS: f64 = 1.0;
+const BALANCE_SIGNIFICANT_SIGMAS: f64 = 2.0;
+/// Ratio of the held-out errors from which on parameters from prediction errors do not predict another run.
 pub(super) const AS_GOOD: f64 = 1.02;
 
-/// A model on the confirming run, with its events and its start where they are in it.
+/// A model on the confirming run, with the events and the initial state of that run.
 pub(super) struct Confirming {
     pub(super) score: Score,
     pub(super) model: Model,
     pub(super) start: State,
 }
 
-/// The runs and how models are held against them.
+/// The runs, and the criterion by which models are judged.
 pub(super) struct Bench {
     pub(super) evidence: Evidence,
     balance: Option<Balance>,
@@ -88,12 +89,7 @@ impl Bench {
         Ok((bench, fit))
     }
 
-    /// Whether more than one run is fitted.
-    pub(super) const fn has_several_runs(&self) -> bool {
-        self.evidence.parts.len() > 1
-    }
-
-    /// What the runs say together of these effects beside the baseline.
+    /// Joint inference of these effects beside the baseline from all runs.
     pub(super) fn infer(
         &self,
         baseline: &Fitted,
@@ -102,14 +98,14 @@ impl Bench {
     ) -> Result<Inference, FitError> {
         let mut inference = infer(baseline, &self.given, eligible, &self.evidence, progress)?;
         if self.fits_at_once() {
-            self.agree(baseline, &mut inference)?;
+            self.select(baseline, &mut inference)?;
         }
         Ok(inference)
     }
 
-    /// Holds what is named against the balance of torques, where a fit costs next to nothing: what explains most comes
-    /// first, and what the fit with all of it does not tell from zero is not named.
-    fn agree(&self, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
+    /// Orders the named effects by forward selection in the balance of torques, where a fit is cheap, then removes those
+    /// that are not significant (backward elimination).
+    fn select(&self, baseline: &Fitted, inference: &mut Inference) -> Result<(), FitError> {
         let mut left = inference.named.clone();
         let mut order: Vec<&'static str> = Vec::new();
         while !left.is_empty() {
@@ -125,12 +121,12 @@ impl Bench {
         }
         while !order.is_empty() {
             let fit = self.fit(&beside(&baseline.model, inference, &order)?)?;
-            let told = |id: &str| fit.is_told_from_zero(id, A_SIZE_IN_THE_BALANCE_SIGMAS);
-            let Some(place) = order.iter().rposition(|id| told(id) != Some(true)) else {
+            let is_significant = |id: &str| fit.is_significant(id, BALANCE_SIGNIFICANT_SIGMAS);
+            let Some(last) = order.iter().rposition(|id| is_significant(id) != Some(true)) else {
                 break;
             };
             let reason = VetoReason::SizeMayBeZeroInBalance;
-            inference.veto(Veto { effect: order.remove(place), reason });
+            inference.veto(Veto { effect: order.remove(last), reason });
         }
         inference.confusable.retain(|pair| order.contains(&pair[0]));
         inference.named = order;
@@ -162,7 +158,7 @@ impl Bench {
         self.balance.is_some()
     }
 
-    /// What an error of current, of speed and of torque is counted in; not finite where there is none.
+    /// Units of the errors of current, speed and torque; not finite where there is none.
     pub(super) fn levels(&self) -> [f64; 3] {
         let noise = &self.evidence.noise;
         self.balance.as_ref().map_or([noise.current_a, noise.speed_rad_s, f64::NAN], |balance| {
@@ -196,8 +192,7 @@ impl Bench {
                 model: predicted.model,
             });
         };
-        let rows = balance.sides.confirm.as_ref();
-        let rows = rows.ok_or_else(|| cannot_simulate(run))?;
+        let rows = balance.sides.confirm.as_ref().ok_or_else(|| cannot_simulate(run))?;
         let model = with_events_of(model, rows);
         Ok(Confirming {
             score: balance.score(&model, rows),
@@ -206,7 +201,7 @@ impl Bench {
         })
     }
 
-    /// A fitted model beside the runs.
+    /// Comparison of a fitted model with the runs.
     fn compared(&self, fit: &Fitted) -> Result<Comparison, FitError> {
         let (model, evidence) = (&fit.model, &self.evidence);
         match &self.balance {
@@ -215,7 +210,7 @@ impl Bench {
         }
     }
 
-    /// A model that something else is missing from: the sizes of its effects are as uncertain as those of the answer.
+    /// With the deviations of the answer where the model lacks a named effect.
     pub(super) fn with_deviations(&self, fit: Fitted, inference: &Inference) -> Fitted {
         if self.fits_at_once() || fit.model.effects.is_empty() || inference.named.is_empty() {
             return fit;
@@ -223,20 +218,20 @@ impl Bench {
         with_deviations(fit, &self.evidence.training, inference.noise)
     }
 
-    /// The fit as it is reported, not as vetoes judge it: values of a balance of torques as uncertain as the forms that it may lack
-    /// leave them, those of voltage and speed alone without what no such run has.
-    pub(super) fn as_believed(&self, fit: &Fitted) -> Fitted {
-        let training = &self.evidence.training;
-        match &self.balance {
-            None => fit.in_the_scale_of(training),
-            Some(balance) => mechanical::averaged_over_forms(fit, &balance.sides.training),
+    /// The fit as it is reported, not as vetoes judge it: a balance of torques with the uncertainty by the forms that it may
+    /// lack, a run of voltage and speed alone without the values that need a current.
+    pub(super) fn as_reported(&self, fit: &Fitted) -> Fitted {
+        if let Some(balance) = &self.balance {
+            return mechanical::averaged_over_forms(fit, &balance.sides.training);
         }
+        let mut reported = fit.clone();
+        without_current(&mut reported.parameters, &self.evidence.training);
+        reported
     }
 
-    /// What these runs cannot answer, and what errors are of.
+    /// Limits of these runs, and the derivation of a balance.
     pub(super) fn limits(&self) -> Vec<Limit> {
-        let aside = self.aside.iter().cloned();
-        let mut limits: Vec<Limit> = aside.map(Limit::RunsSetAside).collect();
+        let mut limits: Vec<Limit> = self.aside.iter().cloned().map(Limit::RunsSetAside).collect();
         limits.extend(self.evidence.unjudged());
         limits.extend(self.searched.clone());
         limits.extend(self.balance.as_ref().map(|balance| Limit::TorqueBalance {
@@ -258,7 +253,7 @@ pub fn fitted_baseline(model: &Model, evidence: Evidence) -> Result<(Evidence, M
     Ok((evidence, fit.model))
 }
 
-/// Iterations of `most` that a fit of a free run may take, whose slopes are differences.
+/// Iterations of `most` that a fit of a free run may take, with derivatives by differences.
 fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
     let Ok(mut plant) = Plant::new(model, run.input) else {
         return most;
@@ -267,14 +262,13 @@ fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
     iterations_of(plant.work() * (model.free_slots().len() as u64 + 1), most)
 }
 
-/// The baseline's effects and these of the named ones, as the joint fit has them. What was given stays, needed or not.
+/// The effects of the baseline, needed or not, and these of the named ones, with the values of the joint fit.
 fn beside(
     baseline: &Model,
     inference: &Inference,
     kept: &[&'static str],
 ) -> Result<Model, FitError> {
-    let given = baseline.effect_ids().into_iter();
-    let given = given.filter(|id| inference.is_eligible(id));
+    let given = baseline.effect_ids().into_iter().filter(|id| inference.is_eligible(id));
     let ids: Vec<&'static str> = given.chain(kept.iter().copied()).collect();
     let start = inference.with_effects(&ids);
     let mut start =
@@ -289,7 +283,7 @@ fn beside(
 pub(super) struct Standing {
     pub(super) fit: Fitted,
     pub(super) score: Score,
-    /// The values are the free run's, since those of its prediction errors do not foretell the hold-out.
+    /// The values are the free run's, since those of its prediction errors do not predict the hold-out.
     keeps_free_run: bool,
 }
 
@@ -299,9 +293,9 @@ impl Standing {
         Ok(Self { fit, score, keeps_free_run: false })
     }
 
-    /// With the parameters that prediction errors give, unless they do not foretell the hold-out: whatever is said of an
-    /// effect's size is said of these. A balance of torques has no free run that a load could lead astray.
-    fn handed_on(fit: Fitted, bench: &Bench, inference: &Inference) -> Result<Self, FitError> {
+    /// With the parameters from prediction errors (Ljung 1999), unless they do not predict the hold-out; an effect's
+    /// size is reported from these. A balance of torques has no free run that could drift.
+    fn refined_fit(fit: Fitted, bench: &Bench, inference: &Inference) -> Result<Self, FitError> {
         let free = Self::of(fit, bench)?;
         if bench.fits_at_once() {
             return Ok(free);
@@ -313,8 +307,8 @@ impl Standing {
         Ok(Self { keeps_free_run, ..kept })
     }
 
-    /// Where the values are the free run's each is uncertain by how far it is from that of its prediction errors beside. What
-    /// was decided by the deviations that it had stays.
+    /// Widens the deviations of values of the free run by their distance from those of the prediction errors. What
+    /// was decided by the earlier deviations stays.
     pub(super) fn with_deviations(mut self, bench: &Bench, inference: &Inference) -> Self {
         if self.keeps_free_run {
             self.fit = with_deviations(self.fit, &bench.evidence.training, inference.noise);
@@ -327,8 +321,8 @@ impl Standing {
     }
 }
 
-/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are those that
-/// are handed on. `known` are the rungs behind the baseline that a ladder before had, of the same effects and passed like these.
+/// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are
+/// reported. `known` are the rungs after the baseline that an earlier ladder shares with this one.
 pub(super) fn climb(
     bench: &Bench,
     baseline: &Fitted,
@@ -341,29 +335,29 @@ pub(super) fn climb(
         if place < last || inference.is_cut() {
             Standing::of(fit, bench)
         } else {
-            Standing::handed_on(fit, bench, inference)
+            Standing::refined_fit(fit, bench, inference)
         }
     };
-    // Of a rung that others follow the error counts, not how well each parameter is known. Where the budget is spent, all
+    // Only the error of a rung below the last counts, not the accuracy of its parameters. Where the budget is spent, all
     // rungs together take no longer than one refit.
     let most = Options::thrifty().most_iterations;
-    let in_passing = Options {
+    let of_lower_rung = Options {
         most_iterations: if inference.is_cut() { most / last.max(1) } else { most },
         one_of_many: false,
         ..Options::thrifty()
     };
-    let as_it_is = Options { most_iterations: 0, ..Options::thrifty() };
+    let unfitted = Options { most_iterations: 0, ..Options::thrifty() };
     let climbed: Vec<Standing> = (known.len()..last)
         .into_par_iter()
         .with_max_len(1)
         .map(|place| {
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
             let is_last = place + 1 == last && !inference.is_cut();
-            let options = if is_last { Options::default() } else { in_passing };
+            let options = if is_last { Options::default() } else { of_lower_rung };
             let fitted = bench.fit_with(&start, options);
-            // Where much else is missing a free run is fitted by what is no machine: what was found along the run is.
-            let stands = fitted.and_then(|fit| on_rung(place + 1, fit));
-            stands.or_else(|_| on_rung(place + 1, bench.fit_with(&start, as_it_is)?))
+            // Where much else is missing the fit of a free run may fail: then the values of the joint fit.
+            let standing = fitted.and_then(|fit| on_rung(place + 1, fit));
+            standing.or_else(|_| on_rung(place + 1, bench.fit_with(&start, unfitted)?))
         })
         .collect::<Result<_, FitError>>()?;
     let mut rungs = vec![on_rung(0, baseline.clone())?];
@@ -388,7 +382,7 @@ pub struct Rung {
 pub struct AddResult {
     pub effect: &'static str,
     pub accepted: bool,
-    /// Taken although the runs do not ask for it, because a person wanted it.
+    /// Accepted by the user although the runs do not show it.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub forced: bool,
     #[serde(rename = "code")]
@@ -396,7 +390,7 @@ pub struct AddResult {
     /// Name of the effect, which need not be in the catalogue.
     #[serde(skip)]
     pub name: &'static str,
-    /// That the effect is there, weighed jointly with all others.
+    /// Posterior probability that the effect is present, jointly with all others.
     #[serde(skip)]
     pub probability: f64,
     /// Effects of the model that are not needed beside the others.
@@ -412,7 +406,7 @@ pub struct AddResult {
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
     pub ladder: Vec<Rung>,
-    /// Errors on the confirming run where there is one: the headline.
+    /// Errors on the confirming run, where there is one.
     pub confirm: Option<[Rung; 2]>,
     #[serde(skip)]
     pub fit: Fitted,
@@ -423,13 +417,13 @@ findings! {
     #[derive(Clone, Debug, PartialEq, Eq)]
     pub enum ChangeFinding {
         NotJudged { why: &'static str } = "cannot_be_judged",
-        /// It is there; the effects that these runs do not tell it from.
+        /// It is present; the effects from which these runs do not distinguish it.
         There { rivals: Vec<&'static str> } = "is_there",
-        /// It is not there beside what these runs ask for; whether they would show it.
+        /// It is not present beside the named effects; whether it would be detectable.
         NotThere { beside: Vec<&'static str>, would_show: bool } = "is_not_there",
         Needed = "is_needed",
         Superfluous = "is_superfluous",
-        /// These runs do not ask for the effect that is removed, and would not show it.
+        /// The removed effect is not shown by these runs, and not detectable in them.
         NotShown = "would_not_show",
     }
 }
@@ -447,7 +441,7 @@ impl AddResult {
         self.fit.model.has(self.effect)
     }
 
-    /// Takes what was refused; what is not eligible in these runs is not in the model, and stays refused.
+    /// Accepts a refused change; an effect that is not eligible in these runs is not in the model and stays refused.
     pub fn force(&mut self) {
         if !self.accepted && self.can_be_forced() {
             (self.accepted, self.forced) = (true, true);
@@ -455,7 +449,7 @@ impl AddResult {
     }
 }
 
-/// Refits `model` with `effect` added; refused, with the reason, where the runs do not ask for it beside all others.
+/// Refits `model` with `effect` added; refused, with the reason, where the runs do not show it beside all others.
 pub fn add(
     effect: &'static dyn Effect,
     model: &Model,
@@ -474,7 +468,7 @@ pub fn add(
     change(effect, &bench, &inference, [before, after], true)
 }
 
-/// Refits `model` without `effect`; refused where the runs ask for it.
+/// Refits `model` without `effect`; refused where the runs show it.
 pub fn remove(
     effect: &'static dyn Effect,
     model: &Model,
@@ -495,13 +489,13 @@ fn change(
     adding: bool,
 ) -> Result<AddResult, FitError> {
     let id = effect.card().id;
-    let handed_on = |fit| {
-        let standing = Standing::handed_on(fit, bench, inference)?;
+    let refined_standing = |fit| {
+        let standing = Standing::refined_fit(fit, bench, inference)?;
         Ok::<_, FitError>(standing.with_deviations(bench, inference))
     };
-    let after = handed_on(after)?;
+    let after = refined_standing(after)?;
     // The model before has the effect that is taken out, and gives its size.
-    let before = if adding { Standing::of(before, bench)? } else { handed_on(before)? };
+    let before = if adding { Standing::of(before, bench)? } else { refined_standing(before)? };
     let mut rungs = vec![before, after];
     // Beside others that the runs show too, one alone need not lower the error.
     let is_alone = adding && inference.named == [id];
@@ -524,8 +518,8 @@ fn change(
     };
     let sides = [bench.compared(&before.fit)?, bench.compared(&after.fit)?];
     let [compared_before, compared_after] = sides;
-    let fit = bench.as_believed(&after.fit);
-    let believed = if adding { fit.clone() } else { bench.as_believed(&before.fit) };
+    let fit = bench.as_reported(&after.fit);
+    let reported = if adding { fit.clone() } else { bench.as_reported(&before.fit) };
     Ok(AddResult {
         effect: id,
         accepted: inference.names(id) == adding && refused.is_none(),
@@ -538,17 +532,17 @@ fn change(
         aside: bench.aside.clone(),
         before: compared_before,
         after: compared_after,
-        parameters: parameters_of(id, &believed.parameters),
+        parameters: parameters_of(id, &reported.parameters),
         ladder: vec![before.rung(), after.rung()],
         confirm,
         fit,
     })
 }
 
-/// What is said of the parameters of a model with effects that was fitted to the free run of one record: values and deviations
+/// Parameters of a model with effects that was fitted to the free run of one record: values and deviations
 /// as [`add`] and `diagnose` give them, from the prediction errors along the run. The free run's own deviations count what
-/// neighbouring samples err by together, and nothing of what the form of an effect or the stamps may be wrong by: that of a
-/// drop of brushes is then ten times too small. As it was for a model without effects, and for runs without a voltage.
+/// neighbouring samples err by together, but no error of an effect's form or of the time stamps: that of a
+/// brush drop is then ten times too small. Unchanged for a model without effects, and for runs without a voltage.
 #[must_use]
 pub fn known_along(run: &Scenario, mut found: Identified) -> (Identified, Option<AlongFinding>) {
     if run.input != Input::Voltage || found.model.effects.is_empty() {
@@ -557,9 +551,8 @@ pub fn known_along(run: &Scenario, mut found: Identified) -> (Identified, Option
     let finding = match along(run, &found.model) {
         Ok((_, Led::Neither)) => AlongFinding::NotFollowed,
         Ok((led, of)) => {
-            // What was chosen from a grid was not fitted here.
-            let fitted = led.parameters.into_iter();
-            for own in fitted.filter(|own| own.verdict != Verdict::Fixed) {
+            // A choice from a grid is not fitted here.
+            for own in led.parameters.into_iter().filter(|own| own.verdict != Verdict::Fixed) {
                 let mut known = found.parameters.iter_mut();
                 if let Some(known) = known.find(|known| known.key == own.key) {
                     *known = own;
@@ -582,7 +575,7 @@ findings! {
     #[derive(Clone, Debug, PartialEq, Eq)]
     pub enum AlongFinding {
         PredictionErrors = "values_from_prediction_errors",
-        /// The values of the prediction errors do not foretell the run.
+        /// The values from prediction errors do not predict the run.
         FreeRun = "values_from_free_run",
         NotFollowed = "model_not_followed",
         /// The same, with the message of a fit that failed.
@@ -590,15 +583,13 @@ findings! {
     }
 }
 
-/// The fit with what its prediction errors say, and of what they do.
+/// The fit refined by its prediction errors, and whether values or deviations came from them.
 fn along(run: &Scenario, model: &Model) -> Result<(Fitted, Led), FitError> {
-    let noise = NoiseFloor::from_standstill(run);
-    let noise = noise.unwrap_or_else(|| NoiseFloor::from_spread(run));
+    let noise = NoiseFloor::from_standstill(run).unwrap_or_else(|| NoiseFloor::from_spread(run));
     let evidence = Evidence::of_one(run, noise);
     let (evidence, fit) = evidence.with_baseline(model)?;
     let fit = Fitted::from(fit);
-    let own = model.effects.iter().map(|active| active.effect);
-    let own: Vec<&'static dyn Effect> = own.collect();
+    let own: Vec<&'static dyn Effect> = model.effects.iter().map(|active| active.effect).collect();
     let (searched, _) = evidence.shortened();
     let noise = infer(&fit, model, &own, &searched, &silent)?.noise;
     Ok(led(fit, run, noise, true))

@@ -1,22 +1,22 @@
-//! Compare the model with the measurement, see where it fails, name the missing effect, add it.
+//! Comparison of a model with measurements, location of its error, identification of missing effects.
 //!
 //! ```text
 //! Evidence (fit run, hold-out, confirm run, noise floor)
-//!    |-> compare      error per signal beside the floor; residual lights
-//!    |-> traces       every signal measured and of the model, over the time of its run
-//!    |-> versus       two models on one run: the better, and whether that is more than chance
-//!    |-> location     which equation fails, over which speeds, currents, angles, times, and as what curve
+//!    |-> compare      error per signal, noise floor, whiteness and independence of the residual
+//!    |-> traces       every signal, measured and simulated, over the time of its run
+//!    |-> versus       two models on one run: the better, and whether the difference is significant
+//!    |-> location     which equation fails, over which speeds, currents, angles, times, and its error as a curve
 //!    |-> fingerprint  R and Ke of each run: is the hold-out of the same motor?
-//!    |-> joint        every set of effects weighed at once: what is named, how likely, how large
+//!    |-> joint        posterior over sets of effects: which are named, their probability and size
 //!    |-> ladder       named effects join the model one by one, each rung judged on the hold-out (by a free run, or by the
-//!    |                balance of torques: mechanical); add or remove one effect: refused if the runs do not ask for it
-//!    |-> diagnose     the decision: verdict, candidates, and the same on a run that had no part in the answer
-//!    |-> next_experiment  the run that tells what these runs cannot
-//!    '-> limits       what these runs cannot answer, and why
+//!    |                balance of torques: mechanical); add or remove one effect: refused if the runs do not show it
+//!    |-> diagnose     the decision: verdict, candidates, and its confirmation on an independent run
+//!    |-> next_experiment  the most informative next run
+//!    '-> limits       limits of these runs, and why
 //! ```
 //!
-//! A name is given for what all runs together make likely beside everything else, and its error is of data that the fit has not
-//! used. What is found is a code with numbers; the program makes the sentences.
+//! An effect is named by its posterior probability from all runs, and its error is that of data that the fit has not
+//! used. A finding is a code with numbers; the program makes the sentences.
 
 mod candidates;
 mod compare;
@@ -57,9 +57,9 @@ pub use ladder::{
 pub use limits::{Limit, LongRun, RepeatUnknown, SearchedPart, SetAside, Unjudged, WhyOpen};
 pub use location::{
     AxisFinding, AxisMap, AxisReason, CurvePoint, EffectCurve, EquationBalance, EquationState,
-    ErrorForm, ErrorMap, ErrorOf, FailureLocation, Leaning, Located, MapCell, MapDigits, MapError,
-    MeasuredMap, Off, OwnChange, Undecided, axis_map, effect_curve, error_curve, lean, locate,
-    torque_map,
+    ErrorForm, ErrorMap, ErrorOf, FailureLocation, Located, MapCell, MapDigits, MapError,
+    MeasuredMap, Off, OwnChange, RankedEffect, Undecided, axis_map, effect_curve, error_curve,
+    locate, provisional_ranking, torque_map,
 };
 pub use next_experiment::{
     ExperimentLimits, FasterRun, Hidden, HiddenReason, NextExperiment, Recipe, Recommendation,

@@ -1,4 +1,4 @@
-//! What runs cannot answer, and why.
+//! Limits of a set of runs, and why.
 
 use drivebench_identify::balance::Derivation;
 use drivebench_model::findings;
@@ -7,15 +7,15 @@ findings! {
     #[derive(Clone, Debug, PartialEq)]
     pub enum Limit {
         RunsSetAside(SetAside) = "runs_set_aside",
-        /// No effect is named by a hold-out in which neither speed nor current changes.
+        /// No effect is named where neither speed nor current of the hold-out changes.
         HoldoutStill = "holdout_still",
-        /// The judgement does without a measured signal.
+        /// A measured signal is not judged.
         SignalUnjudged { signal: &'static str, why: Unjudged } = "signal_not_judged",
-        /// Only parts of long runs were searched; whether what comes behind them confirms the answer.
+        /// Only parts of long runs were searched; whether the rest confirms the answer.
         PartSearched { parts: Vec<SearchedPart>, rest_confirms: bool } = "only_part_searched",
         TorqueBalance { derivation: Derivation } = "errors_of_torque_balance",
-        /// Share of the noise that the commands of lost rows make of the error on the average, and at most; the highest error
-        /// that may be all theirs.
+        /// Mean and largest error by the commands of lost rows, in units of the noise; the highest error
+        /// that they alone may cause.
         LostRows { expected: f64, most: f64, highest: f64 } = "lost_rows",
         NothingRuledOut(WhyOpen) = "nothing_ruled_out",
         RepeatUnknown(RepeatUnknown) = "repeatability_unknown",
@@ -24,12 +24,12 @@ findings! {
         NoOtherRun { share: f64 } = "no_other_run_held_out",
         NotMeasured { signal: &'static str } = "signal_not_measured",
         FewWindows { equation: &'static str, usable: usize, needed: usize, length_s: f64 } = "too_few_windows",
-        /// An error that follows the angle may go unseen.
+        /// An error that depends on the angle may not be detected.
         NoAngle = "angle_not_measured",
     }
 }
 
-/// Runs behind the first one that cannot be fitted with these effects.
+/// Runs after the first one that cannot be fitted with these effects.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct SetAside {
     pub later: Vec<String>,
@@ -37,7 +37,7 @@ pub struct SetAside {
     pub first: String,
 }
 
-/// Why a measured signal has no part in the judgement.
+/// Why a measured signal is not judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Unjudged {
     OnlyInHoldout,
@@ -76,7 +76,7 @@ findings! {
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum WhyOpen {
         SearchCut = "search_ended_by_budget",
-        /// The best model leaves several times the noise, so that bounds by it do not hold.
+        /// The error of the best model is several times the noise, so that its bounds do not hold.
         FarFromNoise = "several_times_the_noise_left",
     }
 }

@@ -6,13 +6,13 @@
 //!    '-> score    a model on held-out rows, in units of what noise leaves in one
 //! ```
 //!
-//! Here the free run is no judge: an axis in a closed loop is an integrator, and the least offset runs away. The torque
-//! balance is linear in every coefficient, has one row per window, and no start value. The weak form decides; the
-//! reference processing of the field stands beside it, because the two weigh frequencies differently.
+//! The free run is no criterion here: an axis in a closed loop is an integrator, on which the smallest offset drifts. The torque
+//! balance is linear in every coefficient, has one row per window, and no initial value. The weak form decides; the
+//! reference processing of the literature is reported too, because the two weigh frequencies differently.
 //!
 //! Terms that depend on the driving torque, as friction in a gear does, are evaluated at the torque that the model itself
 //! transmits, by fixed-point iteration. At the measured torque their column would be the left side of the balance wherever
-//! power flows forward, and would explain it whatever the machine is.
+//! power flows forward, and would explain it for every machine.
 
 use std::borrow::Cow;
 
@@ -47,7 +47,7 @@ struct Settings {
     widened: f64,
     /// Autocorrelation of neighbouring rows beyond what overlapping windows give.
     not_white_correlation: f64,
-    /// Rows below which nothing is said of how long a series remembers itself.
+    /// Rows below which no correlation time is estimated.
     fewest_correlated_rows: usize,
     /// First relative step of the search over a form.
     first_step: f64,
@@ -64,8 +64,8 @@ struct Settings {
     passes_of_transmission: usize,
     /// Relative change at which passes end.
     proportional: f64,
-    /// Samples at which the direction of a term's power is looked at.
-    looks: usize,
+    /// Most samples at which the sign of a term's power is evaluated.
+    most_power_samples: usize,
 }
 
 const SETTINGS: Settings = Settings {
@@ -82,7 +82,7 @@ const SETTINGS: Settings = Settings {
     passes: 4,
     passes_of_transmission: 24,
     proportional: 1e-6,
-    looks: 500,
+    most_power_samples: 500,
 };
 
 /// One processing of all runs.
@@ -90,7 +90,7 @@ pub(super) struct Sides {
     pub(super) training: TorqueRows,
     pub(super) holdout: TorqueRows,
     pub(super) confirm: Option<TorqueRows>,
-    /// The whole run where it was split: what figures in the literature are of.
+    /// The whole run where it was split, for comparison with the literature.
     pub(super) whole: Option<TorqueRows>,
 }
 
@@ -136,7 +136,7 @@ impl Sides {
     }
 }
 
-/// The balance of torques of all runs, and in what its errors are counted: newton metres that count as one.
+/// The balance of torques of all runs, and the unit of its errors in newton metres.
 pub(super) struct Balance {
     pub(super) sides: Sides,
     pub(super) unit_n_m: f64,
@@ -144,7 +144,7 @@ pub(super) struct Balance {
 }
 
 impl Balance {
-    /// With the fitted baseline, if there is one. Errors are counted in what the noise of the leading standstill would leave
+    /// With the fitted baseline, if there is one. The unit of the errors is the deviation by the noise of the leading standstill
     /// in a row, else in the error of the baseline.
     pub(super) fn new(
         model: &Model,
@@ -161,7 +161,7 @@ impl Balance {
         Ok((balance, baseline))
     }
 
-    /// A complete model on these rows; only times of events are found anew.
+    /// A complete model on these rows; only times of events are estimated anew.
     pub(super) fn score(&self, model: &Model, rows: &TorqueRows) -> Score {
         let predicted = predicted(&with_events_of(model, rows), rows);
         Score::of_balance(rows, &predicted, self.unit_n_m)
@@ -179,10 +179,9 @@ impl Balance {
     }
 }
 
-/// Where a run that no voltage drives sets out.
+/// Initial state of a run that no voltage drives.
 pub(super) fn start_of(run: &Scenario) -> State {
-    let mut speeds = run.speed_rad_s.iter().copied();
-    let first = speeds.find(|speed| speed.is_finite());
+    let first = run.speed_rad_s.iter().copied().find(|speed| speed.is_finite());
     State::at(0.0, first.unwrap_or(0.0))
 }
 
@@ -197,8 +196,7 @@ fn standstill_floor(
     let rest = scenario.leading_standstill();
     let driving: Vec<f64> = if scenario.input == Input::Torque {
         let end_s = *scenario.sample_time_s.get(rest.end.checked_sub(1)?)?;
-        let within = scenario.events.iter().take_while(|event| event.0 <= end_s);
-        within.map(|event| event.1).collect()
+        scenario.events.iter().take_while(|event| event.0 <= end_s).map(|event| event.1).collect()
     } else {
         let kt = model.motor.torque_constant()?;
         let currents = &scenario.current_a[rest];
@@ -225,8 +223,7 @@ fn acts(model: &Model, slot: &Slot) -> bool {
     match slot {
         Slot::Motor(_) => false,
         Slot::Effect { index, .. } => {
-            let enters = model.effects[*index].effect.card().enters;
-            enters.includes(Equation::Torque)
+            model.effects[*index].effect.card().enters.includes(Equation::Torque)
         }
     }
 }
@@ -239,15 +236,14 @@ fn is_coefficient(slot: &Slot) -> bool {
 fn unknowns(model: &Model) -> Vec<Slot> {
     let effects = model.slots().into_iter();
     let effects = effects.filter(|slot| is_coefficient(slot) && acts(model, slot));
-    let motor = [MotorKey::Inertia, MotorKey::LoadTorque].map(Slot::Motor);
-    motor.into_iter().chain(effects).collect()
+    [MotorKey::Inertia, MotorKey::LoadTorque].map(Slot::Motor).into_iter().chain(effects).collect()
 }
 
 fn is_fixed(model: &Model, slot: &Slot) -> bool {
     model.fixed.contains(&slot.key()) && model.get(slot).is_some()
 }
 
-/// What one unit of the unknown contributes to each row, where the machine was `at` each sample; of a coefficient at a size
+/// Contribution of one unit of the unknown to each row, with the state `at` each sample; of a coefficient at a size
 /// that it may have, because some effects are only nearly proportional.
 fn column(model: &Model, slot: &Slot, rows: &TorqueRows, at: &[Instant]) -> Vec<f64> {
     match *slot {
@@ -280,23 +276,21 @@ pub(super) fn depends_on_drive(effect: &dyn Effect) -> bool {
             current_a,
             speed_rad_s: 1.0,
             torque_n_m_per_a: 1.0,
-            // No multiple of a quarter turn: a wave over the angle is not zero there.
+            // No multiple of a quarter turn: a sine of the angle is not zero there.
             angle: ShaftAngle::at(0.3),
             ..Instant::default()
         };
         [terms.torque_n_m(&at, &own), terms.friction_n_m(&at)]
     };
-    let mut pairs = driven(1.0).into_iter().zip(driven(2.0));
-    pairs.any(|(once, twice)| (once - twice).abs() > 0.0)
+    driven(1.0).into_iter().zip(driven(2.0)).any(|(once, twice)| (once - twice).abs() > 0.0)
 }
 
 /// Whether an effect of the model depends on the transmitted torque.
 fn transmits(model: &Model) -> bool {
-    let mut effects = model.effects.iter();
-    effects.any(|active| depends_on_drive(active.effect))
+    model.effects.iter().any(|active| depends_on_drive(active.effect))
 }
 
-/// Where the machine was at each sample, with the torque that the model transmits as what drives it.
+/// State of the machine at each sample, with the torque that the model transmits as the driving torque.
 fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
     if !transmits(model) {
         return Cow::Borrowed(&rows.at);
@@ -305,8 +299,7 @@ fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
     let mut at = transmitting(rows, &torque);
     for _ in 0..SETTINGS.passes_of_transmission {
         let next = sum_of_terms(model, rows, &at);
-        let change = next.iter().zip(&torque).map(|(a, b)| (a - b).powi(2));
-        let change: f64 = change.sum();
+        let change: f64 = next.iter().zip(&torque).map(|(a, b)| (a - b).powi(2)).sum();
         let whole: f64 = next.iter().map(|value| value * value).sum();
         torque = next;
         at = transmitting(rows, &torque);
@@ -350,7 +343,7 @@ fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> 
     alone
 }
 
-/// Whether physics allows a coefficient no size below zero: it takes power wherever the shaft moves.
+/// Whether a coefficient is dissipative, hence not negative: it takes power wherever the shaft moves.
 fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     let (index, parameter) = match *slot {
         Slot::Motor(key) => return key == MotorKey::LoadTorque,
@@ -364,7 +357,7 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     }
     let scale = specs[parameter].scale.abs();
     let unit = alone(active.effect, &active.values_or_guess(), parameter, scale);
-    let step = rows.at.len().div_ceil(SETTINGS.looks).max(1);
+    let step = rows.at.len().div_ceil(SETTINGS.most_power_samples).max(1);
     // In either direction: a weight drives the shaft down, also where a run only lifts it.
     let some: Vec<Instant> = (rows.at.iter().step_by(step))
         .flat_map(|at| {
@@ -376,7 +369,7 @@ fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
     !powers.iter().any(|power| *power < 0.0) && powers.iter().any(|power| *power > 0.0)
 }
 
-/// What the model, as it stands, says of the torque in each row.
+/// The torque that the model predicts in each row.
 pub(super) fn predicted(model: &Model, rows: &TorqueRows) -> Vec<f64> {
     sum_of_terms(model, rows, &instants(model, rows))
 }
@@ -399,18 +392,15 @@ fn span_s(rows: &TorqueRows) -> f64 {
 
 /// Shares of the rows' span as times since the run's first command.
 fn event_times<'a>(shares: &'a [f64], rows: &'a TorqueRows) -> impl Iterator<Item = f64> + 'a {
-    let ends = rows.time_s.first().zip(rows.time_s.last());
-    ends.into_iter().flat_map(move |(first, last)| {
-        let shares = shares.iter();
-        shares.map(move |share| first - rows.begin_s + share * (last - first))
+    rows.time_s.first().zip(rows.time_s.last()).into_iter().flat_map(move |(first, last)| {
+        shares.iter().map(move |share| first - rows.begin_s + share * (last - first))
     })
 }
 
-/// The model with every time of an event found anew in these rows.
+/// The model with every time of an event estimated anew from these rows.
 pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
     let mut model = model.clone();
-    let slots = model.slots().into_iter();
-    for slot in slots.filter(|slot| slot.has_role(ParameterRole::EventTime)) {
+    for slot in model.slots().into_iter().filter(|slot| slot.has_role(ParameterRole::EventTime)) {
         let Slot::Effect { spec, .. } = slot else {
             continue;
         };
@@ -442,7 +432,7 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
 }
 
 /// Fits every free parameter of the model to the rows; forms of effects, which are no coefficients, start where the model
-/// has them. What can only take power from the shaft is not let below zero. `None` where a term is not known in these rows,
+/// has them. Dissipative coefficients are not negative. `None` where a term is not known in these rows,
 /// or there are too few of them.
 pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
     let mut model = model.clone();
@@ -463,9 +453,8 @@ pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
 /// The fit with its deviations widened by the forms that the model may lack.
 pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
     let mut wide = fit.clone();
-    // Friction that the data ask to be negative is held at zero: an offset of the torque, which it hides, takes its place.
-    let held = fit.parameters.iter();
-    let held = held.filter(|own| own.value == Some(0.0) && own.std.is_none());
+    // Friction at its bound of zero stays there: else a form with an offset of the torque would make it negative.
+    let held = fit.parameters.iter().filter(|own| own.value == Some(0.0) && own.std.is_none());
     let held: Vec<String> = held.map(|own| own.key.clone()).collect();
     widen_by_forms_of_torque(&mut wide.parameters, rows.rows(), |form| {
         let mut with = fit.model.with_effect(form).ok()?;
@@ -475,7 +464,7 @@ pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
     wide
 }
 
-/// Gives the model the values that it has without what depends on the transmitted torque: from them that torque follows.
+/// Gives the model the values of a fit without the effects of the transmitted torque, which follows from them.
 fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
     let mut plain = model.clone();
     plain.effects.retain(|active| !depends_on_drive(active.effect));
@@ -501,7 +490,7 @@ fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
     Some(())
 }
 
-/// Sum of squares that the model leaves with its forms as they are.
+/// Sum of squares of the model with its forms fixed.
 fn cost(model: &Model, rows: &TorqueRows) -> f64 {
     System::new(model, rows).map_or(f64::INFINITY, |system| system.cost())
 }
@@ -562,7 +551,7 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
     }
     system.put(&mut model, &x);
     let residual = &system.right - &system.matrix * &x;
-    // Intervals of what is not held at its bound.
+    // Intervals of the coefficients that are not at their bound.
     let at_bound = |place: &usize| system.takes_power[*place] && x[*place] == 0.0;
     let inside: Vec<usize> = (0..x.len()).filter(|place| !at_bound(place)).collect();
     let solution = least_squares::solve(
@@ -580,7 +569,7 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
             return not_in_the_balance(&model, slot);
         };
         let Some(at) = inside.iter().position(|inside| *inside == place) else {
-            let reason = "held at zero: the data ask for less, and friction drives nothing";
+            let reason = "held at zero: its estimate is negative, and friction cannot drive";
             return searching(slot, Some(0.0), reason);
         };
         let variance = solution.covariance[(at, at)];
@@ -628,12 +617,11 @@ fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
     let five_s = 5.0 * correlation_time_s(&rows.time_s, residual);
     let block_s = SETTINGS.block_s.max(five_s).min(span_s(rows) / SETTINGS.fewest_blocks);
     let block_s = block_s.max(f64::MIN_POSITIVE);
-    let times = rows.time_s.iter();
-    times.map(|time_s| whole((time_s - rows.time_s[0]) / block_s)).collect()
+    rows.time_s.iter().map(|time_s| whole((time_s - rows.time_s[0]) / block_s)).collect()
 }
 
-/// Time over which a series remembers itself: half of `1 + 2 sum rho`, in seconds; the sum stops where the correlation
-/// is lost in chance.
+/// Integrated correlation time: half of `1 + 2 sum rho`, in seconds; the sum stops where the correlation
+/// is within chance.
 fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
     let n = values.len();
     if n < SETTINGS.fewest_correlated_rows {
@@ -681,7 +669,7 @@ impl System {
         })
     }
 
-    /// Least squares with nothing that takes power below zero: the most negative is held at zero until none is left.
+    /// Least squares with the dissipative coefficients not negative: the most negative is held at zero until none is left.
     fn solve_bounded(&self) -> Option<DVector<f64>> {
         let columns = self.matrix.ncols();
         let mut inside: Vec<usize> = (0..columns).collect();
@@ -775,12 +763,12 @@ mod tests {
     }
 
     #[test]
-    fn where_power_flows_one_way_load_dependent_friction_explains_nothing() {
+    fn one_direction_of_power_does_not_determine_load_dependent_friction() {
         // The inertia is too small to drive the shaft against its friction.
         let run = geared(1e-5, 4e-4, 0.0);
         let effect = effect::find("load_dependent_friction").unwrap();
         assert!(why_not(effect, &run).is_some());
-        // And its column does not hold the measured torque: the viscous part stays unexplained.
+        // Its column is not the measured torque: the viscous part stays unexplained.
         let found = fitted(&run);
         assert!(found.rms_n_m > 1e-3, "{}", found.rms_n_m);
     }

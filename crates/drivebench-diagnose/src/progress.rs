@@ -1,11 +1,11 @@
 //! Progress of a long analysis.
 
-/// Something that has been found out, or begins.
+/// Begin of a stage, or a result within it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Event {
-    /// A part of the work begins; `of` events of its kind are to come (at most: what fails tells nothing).
+    /// A stage begins; at most `of` events of its kind follow (a failed fit has none).
     Begun { stage: Stage, of: usize },
-    /// The screen has judged an effect: the share of the unexplained error that it would explain, to first order.
+    /// An effect was screened: the share of the unexplained error that it would explain, to first order.
     Screened { effect: &'static str, share: f64 },
     /// An effect was refitted: its training error in units of the noise.
     Refitted { effect: &'static str, error: f64 },
@@ -16,18 +16,18 @@ pub enum Event {
 /// The parts of a diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Stage {
-    /// The model is fitted as it is. Counts nothing.
+    /// Fit of the baseline; without events.
     Baseline,
     /// Counts [`Event::Screened`].
     Screen,
     /// Counts [`Event::Refitted`].
     Refit,
-    /// Sets of effects are fitted together until one stands. Counts nothing.
+    /// Joint fits of sets of effects until one is confirmed; without events.
     Check,
 }
 
-/// Called from several threads, in no order.
+/// Called from several threads, in any order.
 pub type Progress<'a> = &'a (dyn Fn(Event) + Sync);
 
-/// For those who do not watch.
+/// Discards the progress.
 pub fn silent(_: Event) {}

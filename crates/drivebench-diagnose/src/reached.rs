@@ -1,7 +1,7 @@
-//! Peak of an effect on a run: what a person can hold against the motor's rating.
+//! Peak of an effect on a run, for comparison with the motor's rating.
 //!
-//! The terms of the fitted effect are evaluated along the free run of the fitted model. What enters no balance, as a delay
-//! or a second inertia, is the largest change that it makes to the signals.
+//! The terms of the fitted effect are evaluated along the free run of the fitted model. An effect outside them, as a delay
+//! or a second inertia, is reported by the largest change that it makes to the signals.
 
 use serde::Serialize;
 
@@ -13,7 +13,7 @@ use drivebench_model::plant::{
 };
 use drivebench_model::sample::TWO_SIDED_95;
 
-/// Share of the largest of its kind below which a size is the simulation's rounding: a filter of the current does not
+/// Share of the largest of its kind below which a size is a rounding error: a filter of the current does not
 /// move the shaft.
 const ROUNDING_SHARE: f64 = 1e-6;
 
@@ -29,7 +29,7 @@ pub struct Peak {
     pub percent_of_largest: Option<f64>,
 }
 
-/// What an effect reached on the training run: a torque, a voltage, both, or only what it changes in the signals.
+/// Peaks of an effect on the training run: a torque, a voltage, both, or only its change of the signals.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Reached {
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -43,7 +43,7 @@ pub struct Reached {
 }
 
 impl Reached {
-    /// Those that there are.
+    /// The peaks that are not null.
     pub fn peaks(&self) -> impl Iterator<Item = Peak> {
         [self.torque_n_m, self.voltage_v, self.speed_rad_s, self.current_a].into_iter().flatten()
     }
@@ -53,7 +53,7 @@ impl Reached {
 type Sizes = [f64; 4];
 const UNITS: [&str; 4] = ["N.m", "V", "rad/s", "A"];
 
-/// What an effect of a fitted model reached on `run`; not known where a torque drives, whose free run drifts.
+/// Peaks of an effect of a fitted model on `run`; not known where a torque drives, whose free run drifts.
 pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) -> Option<Reached> {
     if run.input != Input::Voltage {
         return None;
@@ -74,13 +74,13 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
             continue;
         };
         let mut moved = values.clone();
-        // At the upper bound it may be smaller only.
+        // At the upper bound the step is downwards.
         let upwards = values[index] + std;
-        let beside = if upwards <= spec.max { upwards } else { values[index] - std };
-        moved[index] = beside.max(spec.min);
-        let there = along.sizes(&moved).unwrap_or(sizes);
+        let stepped = if upwards <= spec.max { upwards } else { values[index] - std };
+        moved[index] = stepped.max(spec.min);
+        let at_step = along.sizes(&moved).unwrap_or(sizes);
         for k in 0..4 {
-            variances[k] += (there[k] - sizes[k]).powi(2);
+            variances[k] += (at_step[k] - sizes[k]).powi(2);
         }
     }
     let largest = along.largest();
@@ -127,9 +127,9 @@ impl<'a> FreeRun<'a> {
         run: &'a Scenario,
     ) -> Option<Self> {
         let terms = effect.terms(values);
-        let is_beside = terms.path() != Path::default() || terms.coupling().is_some();
+        let acts_on_signals = terms.path() != Path::default() || terms.coupling().is_some();
         let start = State::at(fit.start.current_a, fit.start.speed_rad_s);
-        let without = if is_beside {
+        let without = if acts_on_signals {
             let bare = fit.model.without_effect(effect.card().id).ok()?;
             Some(Plant::new(&bare, run.input).ok()?.simulate(run, start))
         } else {
@@ -153,8 +153,7 @@ impl<'a> FreeRun<'a> {
             let id = self.effect.card().id;
             let own = model.effects.iter_mut().filter(|active| active.id() == id);
             own.for_each(|own| *own = ActiveEffect::with(self.effect, values));
-            let mut plant = Plant::new(&model, self.run.input).ok()?;
-            let with = plant.simulate(self.run, self.start);
+            let with = Plant::new(&model, self.run.input).ok()?.simulate(self.run, self.start);
             sizes[2] = largest_difference(&with.speed_rad_s, &without.speed_rad_s);
             sizes[3] = largest_difference(&with.current_a, &without.current_a);
         }
@@ -205,12 +204,12 @@ impl<'a> FreeRun<'a> {
             let sums = terms.sums(&at, &own);
             let accelerating = (sums.inertia_gain * inertia * acceleration).abs();
             torque = torque.max(sums.torque_n_m.abs() + sums.friction_n_m.abs() + accelerating);
-            // What a faster current saves of the voltage that drives it.
+            // Voltage across the inductance that the effect replaces.
             let driving_v = voltage_v
                 - motor.resistance_ohm * at.current_a
                 - motor.back_emf_v_s_per_rad * at.speed_rad_s;
-            let saved_v = (sums.current_rate_gain * driving_v).abs();
-            voltage = voltage.max(sums.voltage_v.abs() + saved_v);
+            let inductive_v = (sums.current_rate_gain * driving_v).abs();
+            voltage = voltage.max(sums.voltage_v.abs() + inductive_v);
         }
         [torque, voltage, 0.0, 0.0]
     }
@@ -229,8 +228,7 @@ impl<'a> FreeRun<'a> {
 }
 
 fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
-    let differences = a.iter().zip(b).map(|(a, b)| (a - b).abs());
-    differences.fold(0.0, f64::max)
+    a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -264,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn a_drop_is_told_in_volts_and_a_delay_by_what_it_changes() {
+    fn a_drop_is_in_volts_and_a_delay_in_the_change_of_the_speed() {
         let (drop, _) = reached("voltage_drop", &[1.5]);
         let voltage = drop.voltage_v.unwrap();
         assert!((voltage.value - 1.5).abs() < 0.05 && voltage.unit == "V", "{voltage:?}");
@@ -278,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn at_its_upper_bound_it_is_not_known_exactly() {
+    fn at_its_upper_bound_a_parameter_keeps_its_deviation() {
         let model = truth("speed_delay", &[0.004]);
         let run = testing::record(&model, held(&[60.0, -50.0], 0.7), 0.001, 2.0, 3);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
@@ -291,7 +289,7 @@ mod tests {
     }
 
     #[test]
-    fn what_sits_in_one_sensor_reaches_nothing_in_the_others() {
+    fn an_effect_of_one_sensor_changes_no_other() {
         for (id, value, unit) in [
             ("current_filter", 2e-3, "A"),
             ("current_offset", 0.3, "A"),

@@ -1,9 +1,9 @@
-//! Residual lights: is there anything left in the error but noise?
+//! Correlation tests of the residual: whiteness, and independence of the input.
 //!
 //! Correlations of the free-run residual `e` with itself and with the input `u` over lags, in multiples of their 99 % band
 //! `2.58 / sqrt(n)` (Billings and Zhu, Int. J. Control 60, 1994). With `x'` for `x` less its mean:
 //! whiteness `ee`; independence of the input `ue`, `(u2)'e`, `(u2)'(e2)'`, `e(eu)`; and the Ljung-Box test of whiteness.
-//! A wrong model gives `ee` 18 to 42 times the band, a right one 0.6 to 1.4. They say *that* something is left, never what.
+//! A wrong model gives `ee` 18 to 42 times the band, a right one 0.6 to 1.4. The tests detect an error, not its cause.
 
 use serde::Serialize;
 
@@ -12,16 +12,16 @@ use drivebench_model::numerics::statistics::{
     self, BAND_99, COLOURED_BY_CHANCE, OUTSIDE_BY_CHANCE,
 };
 
-/// Lags that are looked at.
+/// Largest lag of the correlations.
 const LAGS: usize = statistics::WHITENESS_LAGS;
-/// Samples below which a correlation says nothing.
+/// Samples below which no correlation is judged.
 pub(super) const FEWEST_SAMPLES: usize = 4 * LAGS;
-/// Multiple of the band above which a light is red whatever the number of lags; chance alone exceeds it once in 10,000
-/// lights. Of a correlation with the input nothing else counts: where the input is slow, white noise that goes with it by
-/// chance at one lag does so at all of them.
+/// Multiple of the band above which a test fails whatever the number of lags; chance alone exceeds it once in 6,000
+/// tests. Of a correlation with the input nothing else counts: where the input is slow, white noise that correlates by
+/// chance with it at one lag does so at all of them.
 const FAR_OUTSIDE: f64 = 1.75;
 
-/// One correlation over the lags.
+/// Test of one correlation over the lags.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Light {
     /// Largest correlation over the band.
@@ -31,12 +31,12 @@ pub struct Light {
     pub passes: bool,
 }
 
-/// The lights of one signal.
+/// The tests of one signal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct SignalLights {
-    /// Residual with itself, lags 1..25.
+    /// Autocorrelation of the residual, lags 1..25.
     pub rho_ee: Light,
-    /// Input with the residual, lags 0..25, and the nonlinear ones.
+    /// Cross-correlation of input and residual, lags 0..25, and the nonlinear ones.
     pub rho_ue: Light,
     pub rho_u2e: Light,
     pub rho_u2e2: Light,
@@ -47,13 +47,13 @@ pub struct SignalLights {
 }
 
 impl SignalLights {
-    /// Whether only noise is left of the signal: few lags outside their band, none far outside, and all of them together no
-    /// more than chance.
+    /// Whether the residual is white: few lags outside their band, none far outside, and the Ljung-Box statistic within its
+    /// limit.
     pub fn is_white(&self) -> bool {
         self.rho_ee.passes && self.ljung_box <= self.ljung_box_limit
     }
 
-    /// The lights in the order of their fields.
+    /// The tests in the order of their fields.
     pub const fn each(&self) -> [Light; 5] {
         [self.rho_ee, self.rho_ue, self.rho_u2e, self.rho_u2e2, self.rho_e_eu]
     }
@@ -62,14 +62,14 @@ impl SignalLights {
 /// Whiteness of the residual and its independence of the input.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct ResidualLights {
-    /// Whether every signal is (`SignalLights::is_white`); false also where there are too few samples to say.
+    /// Whether every signal is ([`SignalLights::is_white`]); false also where there are too few samples.
     pub white: bool,
     /// Whether every signal has samples enough for the verdict.
     pub enough_samples: bool,
     /// Share of the lags 1..25 whose autocorrelation lies outside the 99 % band, the worse of the signals.
     pub autocorrelation_outside_99_percent: f64,
-    /// Whether no residual goes with the input, linearly or in squares. Where the noise is known to be coloured this is
-    /// the only alarm that counts. Null where there are too few samples to say, or the input never changes.
+    /// Whether every residual is independent of the input, linearly and in squares. Where the noise is coloured this is
+    /// the only test that counts. Null where there are too few samples, or the input never changes.
     pub independent_of_input: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
     pub speed_rad_s: Option<SignalLights>,
@@ -91,12 +91,12 @@ impl ResidualLights {
         Self::of_signals([&[], &[], torque])
     }
 
-    /// Whether nothing but noise is left, as far as was asked.
+    /// Whether no test fails.
     pub fn is_noise(&self) -> bool {
         self.white && self.independent_of_input != Some(false)
     }
 
-    /// Each signal with its name and lights, those that there are.
+    /// Each tested signal with its name and tests.
     pub fn named(&self) -> impl Iterator<Item = (&'static str, SignalLights)> {
         [("speed", self.speed_rad_s), ("current", self.current_a), ("torque", self.torque_n_m)]
             .into_iter()
@@ -105,20 +105,20 @@ impl ResidualLights {
 
     fn of_signals(residuals: [&[(f64, f64)]; 3]) -> Self {
         let [current_a, speed_rad_s, torque_n_m] = residuals.map(lights);
-        // A signal that the run does not have says nothing either way.
+        // A signal that the run does not have is not tested.
         let measured = || residuals.into_iter().filter(|residual| !residual.is_empty());
         let enough_samples = measured().next().is_some()
             && measured().all(|residual| residual.len() >= FEWEST_SAMPLES);
         let each = || [current_a, speed_rad_s, torque_n_m].into_iter().flatten();
         let changes =
             |pairs: &[(f64, f64)]| varies(&pairs.iter().map(|pair| pair.1).collect::<Vec<_>>());
-        let is_asked = enough_samples && measured().any(changes);
+        let is_tested = enough_samples && measured().any(changes);
         let worst = each().map(|l| l.rho_ee.outside_99_percent).fold(0.0, f64::max);
         Self {
             white: enough_samples && each().all(|lights| lights.is_white()),
             enough_samples,
             autocorrelation_outside_99_percent: worst,
-            independent_of_input: is_asked
+            independent_of_input: is_tested
                 .then(|| each().all(|l| l.rho_ue.passes && l.rho_u2e.passes && l.rho_u2e2.passes)),
             speed_rad_s,
             current_a,
@@ -187,8 +187,7 @@ fn correlations(later: &[f64], earlier: &[f64], first: usize) -> Vec<f64> {
     let scale = (power(later) * power(earlier)).sqrt();
     (first..=LAGS)
         .map(|lag| {
-            let products = later[lag..].iter().zip(earlier);
-            let sum: f64 = products.map(|(late, early)| late * early).sum();
+            let sum: f64 = later[lag..].iter().zip(earlier).map(|(late, early)| late * early).sum();
             if scale > 0.0 { sum / scale } else { 0.0 }
         })
         .collect()
@@ -205,25 +204,25 @@ mod tests {
         (0..n).map(|_| rng.sample(StandardNormal)).collect()
     }
 
-    /// The lights of a residual of the current beside the input.
+    /// The tests of a residual of the current with the input.
     fn lights(residual: &[f64], input: &[f64]) -> ResidualLights {
         let pairs = residual.iter().copied().zip(input.iter().copied());
         ResidualLights::of(&pairs.collect::<Vec<_>>(), &[])
     }
 
     /// The residual with a fault, which may depend on the sample.
-    fn spoilt(e: &[f64], fault: impl Fn(usize) -> f64) -> Vec<f64> {
+    fn with_fault(e: &[f64], fault: impl Fn(usize) -> f64) -> Vec<f64> {
         e.iter().enumerate().map(|(k, e)| e + fault(k)).collect()
     }
 
     #[test]
-    fn noise_is_white_and_a_slow_wave_is_not() {
+    fn noise_is_white_and_a_slow_sine_is_not() {
         let (e, u) = (noise(4, 5000), noise(5, 5000));
         let good = lights(&e, &u);
         assert!(good.white && good.independent_of_input == Some(true), "{good:?}");
         let one = good.current_a.unwrap();
         assert!(one.ljung_box < one.ljung_box_limit && good.speed_rad_s.is_none());
-        let wave = spoilt(&e, |k| 0.6 * (k as f64 / 50.0).sin());
+        let wave = with_fault(&e, |k| 0.6 * (k as f64 / 50.0).sin());
         let pairs = |e: Vec<f64>| e.into_iter().zip(u.iter().copied()).collect::<Vec<_>>();
         let both = ResidualLights::of(&pairs(e.clone()), &pairs(wave));
         assert!(!both.white && both.autocorrelation_outside_99_percent > 0.5);
@@ -231,10 +230,10 @@ mod tests {
     }
 
     #[test]
-    fn each_light_of_independence_sees_its_own_fault() {
+    fn each_test_of_independence_detects_its_own_fault() {
         let (e, u) = (noise(6, 4000), noise(7, 4000));
         let with = |fault: &dyn Fn(usize) -> f64| {
-            let found = lights(&spoilt(&e, fault), &u);
+            let found = lights(&with_fault(&e, fault), &u);
             (found, found.current_a.unwrap())
         };
         let (all, linear) = with(&|k| if k > 3 { 0.3 * u[k - 3] } else { 0.0 });
@@ -249,7 +248,7 @@ mod tests {
                 && square.rho_ue.passes
                 && all.independent_of_input == Some(false)
         );
-        // Noise that grows with the input is white and goes with no input itself.
+        // Noise whose variance grows with the input is white and uncorrelated with the input itself.
         let (all, size) = with(&|k| e[k] * u[k].abs());
         assert!(!size.rho_u2e2.passes && size.rho_ue.passes && all.white, "{size:?}");
         let mut fed_back = e.clone();
@@ -261,8 +260,8 @@ mod tests {
     }
 
     #[test]
-    fn a_right_model_raises_a_light_rarely() {
-        // Steps that are held for longer than the lags: all lags say the same.
+    fn a_right_model_rarely_fails_a_test() {
+        // Steps longer than the largest lag: the correlations of all lags are alike.
         let levels = noise(8, 20);
         let steps: Vec<f64> = (0..4000).map(|k| levels[k / 200]).collect();
         let white = |found: &ResidualLights| found.white;
@@ -270,7 +269,7 @@ mod tests {
         let count =
             |seeds: u64, alarm: &dyn Fn(u64) -> bool| (0..seeds).filter(|k| alarm(*k)).count();
         let alarms = count(100, &|k| !independent(&lights(&noise(2000 + k, 4000), &steps)));
-        assert!(alarms <= 1, "white noise goes with no slow input: {alarms} of 100");
+        assert!(alarms <= 1, "white noise is independent of a slow input: {alarms} of 100");
         let alarms = count(60, &|k| {
             let found = lights(&noise(100 + k, 2000), &noise(900 + k, 2000));
             !(white(&found) && independent(&found))
@@ -283,7 +282,7 @@ mod tests {
     #[test]
     fn one_strong_lag_is_not_white() {
         let (e, u) = (noise(21, 5000), noise(22, 5000));
-        let echoed = spoilt(&e, |k| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 });
+        let echoed = with_fault(&e, |k| if k >= 5 { 0.14 * e[k - 5] } else { 0.0 });
         let found = lights(&echoed, &u);
         assert!(found.autocorrelation_outside_99_percent <= OUTSIDE_BY_CHANCE);
         assert!(!found.white && found.independent_of_input == Some(true), "{found:?}");
@@ -296,7 +295,7 @@ mod tests {
         let short = ResidualLights::of(&[(0.0, 1.0); 40], &[]);
         assert!(!short.white && !short.enough_samples);
         let still = ResidualLights::of(&[(0.0, 1.0); 400], &[]);
-        assert!(still.white && still.current_a.is_none(), "an exact model leaves nothing");
+        assert!(still.white && still.current_a.is_none(), "an exact model has no residual");
         let steady = lights(&noise(23, 400), &[1.0; 400]);
         assert!(steady.white && steady.independent_of_input.is_none());
     }

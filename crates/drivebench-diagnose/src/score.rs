@@ -1,10 +1,9 @@
-//! A fitted model, and how well a model meets a run: by its free run or by its balance of torques, in SI and in units of the
+//! A fitted model, and the error of a model on a run: of its free run or of its balance of torques, in SI and in units of the
 //! noise.
 
 use serde::{Serialize, Serializer, ser::SerializeMap};
 
 use drivebench_identify::balance::TorqueRows;
-use drivebench_identify::claims::without_current;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, Fit, FitError};
 use drivebench_model::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
@@ -46,12 +45,11 @@ impl Score {
         let trajectory = output_error::predict(model, scenario, noise)?.trajectory;
         let scored = &scenario.scored;
         let judged = |simulated: &[f64], measured: &[f64], counts: bool| {
-            // A dead sensor shows nothing to be met.
+            // A dead sensor has nothing to compare with.
             if !counts || !varies(measured) {
                 return (None, Vec::new());
             }
-            let residual = scored.clone().map(|k| simulated[k] - measured[k]);
-            let residual: Vec<f64> = residual.collect();
+            let residual: Vec<f64> = scored.clone().map(|k| simulated[k] - measured[k]).collect();
             let score = signal_score(&residual, &measured[scored.clone()]);
             let times = &scenario.sample_time_s[scored.clone()];
             (score, finite_points(times, &residual))
@@ -61,7 +59,7 @@ impl Score {
             judged(&trajectory.current_a, &scenario.current_a, by_voltage);
         let (speed, speed_residual) = judged(&trajectory.speed_rad_s, &scenario.speed_rad_s, true);
         let rms = [current, speed].map(|signal| signal.map(|signal| signal.rmse));
-        // Where no signal can be judged no error is known: not one of zero, which would pass for a perfect model.
+        // Not zero, the error of a perfect model, where no signal can be judged.
         let nrms = in_noise(rms, noise).unwrap_or(f64::NAN);
         Ok(Self {
             current,
@@ -74,7 +72,7 @@ impl Score {
         })
     }
 
-    /// Of a balance of torques with this sum of its terms; `unit_n_m` is what noise leaves in a row.
+    /// Of a balance of torques with this sum of its terms; `unit_n_m` is the noise of a row.
     pub(super) fn of_balance(rows: &TorqueRows, predicted: &[f64], unit_n_m: f64) -> Self {
         let pairs = rows.left.iter().zip(predicted);
         let residual: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
@@ -111,7 +109,7 @@ impl Score {
 /// Whether a signal ever changes.
 pub(super) fn varies(values: &[f64]) -> bool {
     let mut present = values.iter().filter(|value| value.is_finite());
-    #[expect(clippy::float_cmp, reason = "exactly constant is what is asked")]
+    #[expect(clippy::float_cmp, reason = "exactly constant")]
     present.next().is_some_and(|first| present.any(|value| value != first))
 }
 
@@ -135,7 +133,7 @@ fn finite_points(time_s: &[f64], values: &[f64]) -> Vec<(f64, f64)> {
     points.filter(|(_, value)| value.is_finite()).collect()
 }
 
-/// A fitted model with what is known about its parameters, whatever method fitted it.
+/// A fitted model with its parameters' estimates, by whatever method.
 #[derive(Clone, Debug)]
 pub struct Fitted {
     pub model: Model,
@@ -144,27 +142,20 @@ pub struct Fitted {
     /// Training error in units of the noise.
     pub nrms: f64,
     pub noise: NoiseFloor,
-    /// What the standard deviations above were multiplied by, because more than noise is left over.
+    /// Factor of the standard deviations above, because more than noise is left in the residual.
     pub interval_factor: f64,
-    /// Where the training run begins.
+    /// State at the begin of the training run.
     pub start: State,
 }
 
-/// Error of a model in units of the noise from which none of its values is settled: what it lacks is in them, and deviations
-/// that count noise, or errors of neighbouring samples, do not bound that.
+/// Error of a model in units of the noise from which none of its values is settled: missing effects bias them, and deviations
+/// from noise, or from the errors of neighbouring samples, do not bound that bias.
 pub(super) const SETTLED_BELOW_RATIO: f64 = 3.0;
 
 impl Fitted {
-    /// The same without the values that a run of voltage and speed alone does not have.
-    pub(super) fn in_the_scale_of(&self, run: &Scenario) -> Self {
-        let mut judged = self.clone();
-        without_current(&mut judged.parameters, run);
-        judged
-    }
-
-    /// The same with what its values are worth where it leaves `nrms` of a run whose noise leaves `floor`; zero where no noise is
+    /// The same with its values unsettled where its error `nrms` is several times the noise `floor`, which is zero where none is
     /// known.
-    pub(super) fn judged_by_what_is_left(&self, nrms: f64, floor: f64) -> Self {
+    pub(super) fn judged_by_error(&self, nrms: f64, floor: f64) -> Self {
         let mut judged = self.clone();
         if floor > 0.0 && nrms > SETTLED_BELOW_RATIO * floor {
             for own in &mut judged.parameters {
@@ -180,8 +171,8 @@ impl Fitted {
         judged
     }
 
-    /// The same with the values of effects that runs do not tell from others, the second of each pair, unsettled: they hold only if
-    /// the others are not there.
+    /// The same with the values of effects that runs do not distinguish from others, the second of each pair, unsettled: valid only if
+    /// the others are not present.
     pub(super) fn judged_beside(mut self, confusable: &[[&'static str; 2]]) -> Self {
         for [id, rival] in confusable {
             let is_own = |key: &str| {
@@ -191,27 +182,26 @@ impl Fitted {
             for own in self.parameters.iter_mut().filter(|own| is_own(&own.key)) {
                 if own.verdict == Verdict::Settled {
                     own.verdict = Verdict::Searching;
-                    own.reason = Some(format!("these runs do not tell {id} from {rival}"));
+                    own.reason = Some(format!("these runs do not distinguish {id} from {rival}"));
                 }
             }
         }
         self
     }
 
-    /// Whether a size of an effect lies `sigmas` of its standard deviations from zero: one of its coefficients, or where its
-    /// shape is all that there is, of that. None where no size is known.
-    pub(super) fn is_told_from_zero(&self, id: &str, sigmas: f64) -> Option<bool> {
+    /// Whether a coefficient of an effect lies `sigmas` of its standard deviations from zero; of an effect without
+    /// coefficients any parameter. `None` where no value is known.
+    pub(super) fn is_significant(&self, id: &str, sigmas: f64) -> Option<bool> {
         let specs = effect::find(id)?.parameters();
         let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
-        let sizes = specs.iter();
-        let sizes = sizes.filter(|spec| !has_coefficients || spec.is_coefficient());
+        let sizes = specs.iter().filter(|spec| !has_coefficients || spec.is_coefficient());
         let sizes = sizes.filter_map(|spec| {
             let key = format!("{id}.{}", spec.key);
             let own = self.parameters.iter().find(|own| own.key == key)?;
             own.value.zip(own.std)
         });
-        let told = sizes.map(|(value, std)| value.abs() > 0.0 && value.abs() >= sigmas * std);
-        told.reduce(|told, another| told || another)
+        let significant = sizes.map(|(value, std)| value != 0.0 && value.abs() >= sigmas * std);
+        significant.reduce(|one, another| one || another)
     }
 }
 
@@ -233,7 +223,7 @@ pub(super) fn cannot_simulate(run: &Scenario) -> FitError {
     FitError::CannotSimulate { run }
 }
 
-/// Root mean squares of current, A, and speed, rad/s, as one in units of the noise; none where neither is known.
+/// Root mean squares of current, A, and speed, rad/s, combined in units of the noise; none where neither is known.
 pub(super) fn in_noise(rms: [Option<f64>; 2], noise: &NoiseFloor) -> Option<f64> {
     let levels = [noise.current_a, noise.speed_rad_s];
     let squares: Vec<f64> = (rms.into_iter().zip(levels))
@@ -260,8 +250,7 @@ pub(super) fn by_key<S: Serializer>(
 /// The parameters of one effect.
 pub(super) fn parameters_of(id: &str, all: &[ParameterEstimate]) -> Vec<ParameterEstimate> {
     let prefix = format!("{id}.");
-    let own = all.iter().filter(|own| own.key.starts_with(&prefix));
-    own.cloned().collect()
+    all.iter().filter(|own| own.key.starts_with(&prefix)).cloned().collect()
 }
 
 #[cfg(test)]
@@ -284,16 +273,15 @@ mod tests {
         assert!((fit.nrms / score - 1.0).abs() < 1e-9, "{} {score}", fit.nrms);
         let weighing_samples = (fit.minimum.cost / fit.minimum.residual.len() as f64).sqrt();
         assert!((weighing_samples / score - 1.0).abs() > 0.05);
-        // Of a signal that is not judged nothing counts.
+        // A signal that is not judged does not count.
         let unjudged = NoiseFloor { current_a: f64::INFINITY, ..noise };
         let score = Score::of(&fit.model, &run, &unjudged).unwrap();
-        let speed = score.speed.unwrap();
-        let alone = speed.samples as f64 * score.nrms.powi(2);
+        let alone = score.speed.unwrap().samples as f64 * score.nrms.powi(2);
         assert!((score.deviance(&unjudged) / alone - 1.0).abs() < 1e-9);
     }
 
     #[test]
-    fn a_size_counts_and_not_the_shape_of_what_has_none() {
+    fn coefficients_decide_significance_before_shapes() {
         let run = record(&nameplate(), 0, 7);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
         let fit = output_error::fit(&[nameplate()], &run, &noise).unwrap();
@@ -315,20 +303,20 @@ mod tests {
         let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
         let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
         let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];
-        for (values, id, sigmas, told) in [
-            // A speed of 33 +- 3 rad/s is no size.
+        for (values, id, sigmas, significant) in [
+            // A speed of 33 +- 3 rad/s is no coefficient.
             (stribeck, "stribeck_friction", 1.0, Some(false)),
             (wave, "cogging", 2.0, Some(true)),
             (wave, "cogging", 3.0, Some(false)),
-            // Nothing is nothing, however well it is known.
+            // Zero is not significant, however small its deviation.
             (none, "voltage_drop", 1.0, Some(false)),
-            // A coupling has nothing but its shape.
+            // A coupling has no coefficient.
             (coupling, "elastic_coupling", 1.0, Some(true)),
             (unknown, "cogging", 1.0, None),
             (wave, "voltage_drop", 1.0, None),
         ] {
             fit.parameters = values.iter().map(estimate).collect();
-            assert_eq!(fit.is_told_from_zero(id, sigmas), told, "{id} {sigmas}");
+            assert_eq!(fit.is_significant(id, sigmas), significant, "{id} {sigmas}");
         }
     }
 }

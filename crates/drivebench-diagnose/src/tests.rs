@@ -15,7 +15,7 @@ fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
 }
 
 #[test]
-fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
+fn a_single_effect_is_named_and_reduces_the_error_to_the_floor() {
     for (id, values) in [
         ("quadratic_load", &[2e-6][..]),
         ("stribeck_friction", &[0.12, 9.0]),
@@ -33,7 +33,7 @@ fn a_single_effect_is_named_and_the_error_falls_to_the_floor() {
 }
 
 #[test]
-fn nothing_is_named_when_nothing_is_missing() {
+fn a_complete_model_has_no_missing_effect() {
     for seed in 0..4 {
         let found = diagnose(&nameplate(), evidence(&nameplate(), seed)).unwrap();
         assert_eq!(found.verdict, DiagnosisVerdict::None, "{:?}", found.effects);
@@ -42,7 +42,7 @@ fn nothing_is_named_when_nothing_is_missing() {
 }
 
 #[test]
-fn of_a_model_that_follows_nothing_nothing_is_concluded() {
+fn a_model_without_predictive_power_has_no_conclusion() {
     // The hold-out has the voltage of another run.
     let mut data = evidence(&nameplate(), 2);
     data.holdout.events = record(&nameplate(), 4, 5).events;
@@ -52,7 +52,7 @@ fn of_a_model_that_follows_nothing_nothing_is_concluded() {
     assert_eq!(found.verdict, DiagnosisVerdict::NotFitted, "{:?}", found.effects);
     assert!(found.effects.is_empty() && found.candidates.is_empty() && found.unknown.is_empty());
     assert!(found.reason.is_some() && !found.sufficient, "{:?}", found.reason);
-    // JSON, card and page give the same of each parameter, and what was given stays.
+    // All lists agree on each parameter, and a given value stays.
     for parameters in [&found.parameters, &found.baseline.parameters, &found.model.parameters] {
         for own in parameters {
             let is_given = own.key == "resistance_ohm";
@@ -62,7 +62,7 @@ fn of_a_model_that_follows_nothing_nothing_is_concluded() {
 }
 
 #[test]
-fn an_error_that_no_effect_explains_is_called_unexplained() {
+fn an_error_without_an_effect_is_unexplained() {
     // A shaker at 5 Hz: nothing in the catalogue depends on time like that.
     let mut data = evidence(&nameplate(), 2);
     for run in [&mut data.training, &mut data.holdout] {
@@ -81,8 +81,7 @@ fn two_effects_are_both_found() {
     let data = evidence(&with(nameplate(), &both), 3);
     let found = diagnose(&nameplate(), data.clone()).unwrap();
     assert_eq!(names(&found), ["quadratic_load", "voltage_drop"]);
-    let mut steps = found.ladder.windows(2);
-    assert!(steps.all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse));
+    assert!(found.ladder.windows(2).all(|rungs| rungs[1].holdout_rmse < rungs[0].holdout_rmse));
     // They come first, in the order of the answer, and their sizes are those of the fit with both.
     for (place, id) in found.effects.iter().enumerate() {
         let candidate = &found.candidates[place];
@@ -106,7 +105,7 @@ fn two_effects_are_both_found() {
 }
 
 #[test]
-fn one_run_alone_is_split_and_says_so() {
+fn one_run_alone_is_split() {
     let run = record(&truth("voltage_drop", &[1.2]), 0, 4);
     let found = diagnose(&nameplate(), Evidence::new(run, None, None)).unwrap();
     assert_eq!(found.holdout_from, HoldoutFrom::Split);
@@ -114,7 +113,7 @@ fn one_run_alone_is_split_and_says_so() {
 }
 
 #[test]
-fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_again() {
+fn an_absent_effect_is_refused_and_a_present_one_is_kept() {
     let fan = effect::find("quadratic_load").unwrap();
     let refused = add(fan, &nameplate(), evidence(&nameplate(), 5)).unwrap();
     assert!(!refused.accepted, "{:?}", refused.finding);
@@ -130,7 +129,7 @@ fn an_effect_that_does_not_pay_is_refused_and_one_that_does_can_be_taken_out_aga
 }
 
 #[test]
-fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers() {
+fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
     let mut data = evidence(&truth("quadratic_load", &[2e-6]), 8);
     for run in [&mut data.training, &mut data.holdout] {
         // Of the 125 samples at rest only the last ten show the current.
@@ -147,15 +146,15 @@ fn a_signal_without_rest_samples_is_named_with_the_reason_and_the_other_answers(
     assert_eq!(found.effect, Some("quadratic_load"));
     let compared = compared(data);
     assert!(compared.limits.contains(limit), "{:?}", compared.limits);
-    // How good the model is for it can still be said; only not in units of its noise.
+    // Its error is still known, but not in units of its noise.
     let current = compared.signals.current_a.unwrap();
     assert!(current.noise_floor.is_none() && current.holdout.rmse > 0.0, "{current:?}");
     assert!(current.fit_percent > 50.0, "{current:?}");
-    // Runs that lack nothing have no such limit.
+    // Complete runs have no such limit.
     assert_eq!(evidence(&nameplate(), 8).unjudged(), []);
 }
 
-/// The fitted nameplate beside the runs.
+/// Comparison of the fitted nameplate with the runs.
 fn compared(data: Evidence) -> Comparison {
     let (data, baseline) = data.with_baseline(&nameplate()).unwrap();
     compare(&baseline.model, &data, ErrorOf::Structure).unwrap()
@@ -173,7 +172,7 @@ fn the_location_names_equation_and_axis() {
 }
 
 #[test]
-fn a_fitted_model_that_follows_nothing_has_no_places_and_a_given_one_has() {
+fn a_fitted_model_without_predictive_power_has_no_locations_and_a_given_one_has() {
     let data = evidence(&nameplate(), 6);
     let mut heavy = nameplate();
     heavy.motor.set(MotorKey::Inertia, 10.0);
@@ -197,15 +196,15 @@ fn a_repeat_gives_the_floor_that_the_standstill_gives_when_only_sensors_are_nois
     assert!((repeated.noise.speed_rad_s / data.noise.speed_rad_s - 1.0).abs() < 0.2);
 }
 
-/// The same record with a reading of the speed that drifts otherwise in each run.
-fn wandering(seed: u32) -> Scenario {
+/// The same record with another drift of the speed sensor in each run.
+fn drifting(seed: u32) -> Scenario {
     let mut run = record(&nameplate(), 0, u64::from(seed));
     let mut state = seed;
-    let mut wander = 0.0;
+    let mut drift = 0.0;
     for speed in &mut run.speed_rad_s {
         state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        wander = 0.999 * wander + 0.05 * (f64::from(state >> 8) / f64::from(1 << 24) - 0.5);
-        *speed += if *speed == 0.0 { 0.0 } else { wander };
+        drift = 0.999 * drift + 0.05 * (f64::from(state >> 8) / f64::from(1 << 24) - 0.5);
+        *speed += if *speed == 0.0 { 0.0 } else { drift };
     }
     run
 }
@@ -218,16 +217,16 @@ fn a_machine_that_does_not_repeat_is_not_called_complete() {
     let found = repeated(evidence(&nameplate(), 8), record(&nameplate(), 0, 98));
     let expected = (DiagnosisVerdict::None, Some(true));
     assert_eq!((found.verdict, found.repeats), expected);
-    let data = Evidence::new(wandering(3), Some(wandering(4)), None);
-    let found = repeated(data, wandering(5));
+    let data = Evidence::new(drifting(3), Some(drifting(4)), None);
+    let found = repeated(data, drifting(5));
     assert_eq!(found.repeats, Some(false), "{:?}", found.repeat_floor);
     assert_eq!(found.verdict, DiagnosisVerdict::Unexplained, "{:?}", found.effects);
-    // It follows nothing that repeats: the time alone.
+    // It depends on the time alone.
     assert_eq!(found.repeat_follows[0].variable, "time_s", "{:?}", found.repeat_follows);
 }
 
 #[test]
-fn where_a_model_fails_is_one_place_by_both_tests() {
+fn the_location_combines_windows_and_the_residual_of_the_whole_run() {
     let whole = compared(evidence(&nameplate(), 6));
     let place = |change: &dyn Fn(&mut Comparison)| {
         let mut found = whole.clone();
@@ -249,7 +248,7 @@ fn where_a_model_fails_is_one_place_by_both_tests() {
     assert_eq!(place(&|found| found.balances[0].nres = None), Where::NoNoiseFloor);
     assert_eq!(place(&|found| found.balances[0].fails = true), Where::AlongNothing);
     assert_eq!(place(&|found| found.balances.clear()), Where::NoBalance);
-    // The place that is named is not among the others.
+    // The first location is not among the others.
     let missing = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
     let (first, others) = missing.where_it_fails();
     let named = usize::from(first == Where::First);

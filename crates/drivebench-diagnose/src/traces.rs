@@ -1,11 +1,11 @@
-//! Traces of a comparison: every signal as measured and as the model gives it, with the noise, over the time of its run.
+//! Traces of a comparison: every signal, measured and simulated, with the noise, over the time of its run.
 //!
 //! ```text
 //! model, Evidence -> Traces: one RunTraces for the hold-out, the fit run (of a split run both are one) and the confirming run
 //!                      '-> SignalTrace: time from the run's begin, measured, model (a free run), noise; a gap is NaN
 //! ```
 //!
-//! Of a run that no voltage drives the torque of the motor stands beside that of the inverse model.
+//! A run that no voltage drives has the torque of the motor and that of the inverse model.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -19,11 +19,11 @@ use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, ParameterEstimate, Run};
 
-/// What a trace is of.
+/// Quantity of a trace.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
     Channel(Channel),
-    /// What the on-line estimators say of a parameter of the motor.
+    /// On-line estimate of a parameter of the motor.
     Estimate(MotorKey),
 }
 
@@ -51,7 +51,7 @@ pub struct SignalTrace {
     pub time_s: Arc<[f64]>,
     /// NaN where nothing was measured.
     pub measured: Vec<f64>,
-    /// The same of the model; empty where it says nothing of this signal.
+    /// The same simulated; empty where the model does not have this signal.
     pub model: Vec<f64>,
     /// Standard deviation of the sensor's noise, where it is known.
     pub noise: Option<f64>,
@@ -64,8 +64,7 @@ pub struct SignalTrace {
 impl SignalTrace {
     /// Measured less model: positive where the model is too low. NaN in gaps.
     pub fn residual(&self) -> impl Iterator<Item = f64> + '_ {
-        let pairs = self.measured.iter().zip(&self.model);
-        pairs.map(|(measured, model)| measured - model)
+        self.measured.iter().zip(&self.model).map(|(measured, model)| measured - model)
     }
 
     pub const fn has_model(&self) -> bool {
@@ -121,7 +120,7 @@ pub struct WorstPlace {
     pub rms: f64,
 }
 
-/// What part a run has in the comparison.
+/// Role of a run in the comparison.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
     HoldOut,
@@ -142,7 +141,7 @@ impl Part {
     }
 }
 
-/// The signals of one run: those that the model gives first.
+/// The signals of one run, the simulated ones first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RunTraces {
     pub run: String,
@@ -179,21 +178,21 @@ pub struct Traces {
     pub effects: Vec<&'static str>,
 }
 
-/// Every channel that was recorded beside what a comparison is of, by the name of its run.
+/// Every recorded channel outside of the comparison, by the name of its run.
 #[derive(Clone, Debug, Default)]
 pub struct RecordedChannels {
     runs: Vec<(String, Vec<SignalTrace>)>,
 }
 
 impl RecordedChannels {
-    /// Takes in a run that the comparison may be of, and what the on-line estimators make of it.
+    /// Adds a run of the comparison with its on-line estimates.
     pub fn add(&mut self, run: &Run, scenario: &Scenario) {
         let begin_s = scenario.begin_s();
         let since = |time_s: &f64| time_s - begin_s;
         let signal = |channel: &Channel| {
             let values = run.column(*channel)?;
             let points = run.time_s().iter().map(since).zip(values.iter().copied());
-            // Rows of commands stand between those of samples: what is empty there is no gap.
+            // Rows of commands are between those of samples: an empty cell there is no gap.
             let points: Vec<(f64, f64)> = points.filter(|point| point.1.is_finite()).collect();
             let time_s: Vec<f64> = points.iter().map(|point| point.0).collect();
             (!points.is_empty()).then(|| SignalTrace {
@@ -213,7 +212,7 @@ impl RecordedChannels {
 
     /// The channels that a run has beside `known`.
     fn beside(&self, run: &str, known: &[SignalTrace]) -> impl Iterator<Item = SignalTrace> {
-        // A part of a run carries its name in front.
+        // The name of a part begins with that of its run.
         let mut runs = self.runs.iter();
         let own = runs.find(|(name, _)| run == name || run.starts_with(&format!("{name} (")));
         let signals = own.into_iter().flat_map(|(_, signals)| signals);
@@ -260,7 +259,7 @@ impl Traces {
             let others: Vec<SignalTrace> = recorded.beside(&run.name, &signals).collect();
             signals.extend(others);
             let begins = run.sample_time_s.get(run.scored.start).map(since);
-            // Of a split run the whole is shown, not the part that its name tells.
+            // A split run is shown whole, not the part in its name.
             let whole = run.name.rsplit_once(" (last").map(|(whole, _)| whole);
             let name = whole.filter(|_| is_split).unwrap_or(&run.name);
             Ok(RunTraces {
@@ -275,7 +274,7 @@ impl Traces {
     }
 }
 
-/// What was commanded, since the run's begin.
+/// The command, since the run's begin.
 fn command(run: &Scenario) -> SignalTrace {
     let since = |(time_s, _): &(f64, f64)| time_s - run.begin_s();
     SignalTrace {
@@ -289,7 +288,7 @@ fn command(run: &Scenario) -> SignalTrace {
     }
 }
 
-/// Speed and current of the free run beside what was measured; what was never measured is left out.
+/// Speed and current of the free run with their measurement, without a signal that was never measured.
 fn free_run(
     model: &Model,
     run: &Scenario,
@@ -300,8 +299,7 @@ fn free_run(
     let time_s: Arc<[f64]> = run.sample_time_s.iter().map(|t| t - begin_s).collect();
     let is_known = noise.source != FloorSource::None;
     let signal = |channel, measured: &Vec<f64>, model, level: f64| {
-        let is_there = measured.iter().any(|value| value.is_finite());
-        is_there.then(|| SignalTrace {
+        measured.iter().any(|value| value.is_finite()).then(|| SignalTrace {
             quantity: Quantity::Channel(channel),
             time_s: Arc::clone(&time_s),
             measured: measured.clone(),
@@ -322,7 +320,7 @@ fn free_run(
 /// Instants at which estimates are kept.
 const ESTIMATES: usize = 400;
 
-/// What the on-line estimators say along a run that a voltage drives; gaps where they say nothing yet.
+/// On-line estimates along a run that a voltage drives; gaps before the first.
 fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
     if scenario.input != Input::Voltage {
         return Vec::new();
@@ -343,15 +341,11 @@ fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
     }
     let time_s: Arc<[f64]> = times.into();
     let of = |key: MotorKey| {
-        let own = || {
-            let each = found.iter();
-            each.map(move |all| ParameterEstimate::find(all, key.key()))
-        };
+        let own = || found.iter().map(move |all| ParameterEstimate::find(all, key.key()));
         let value = |own: Option<&ParameterEstimate>| own.and_then(|own| own.value);
         let std = |own: Option<&ParameterEstimate>| own.and_then(|own| own.std);
         let measured: Vec<f64> = own().map(|own| value(own).unwrap_or(f64::NAN)).collect();
-        let is_there = measured.iter().any(|value| value.is_finite());
-        is_there.then(|| SignalTrace {
+        measured.iter().any(|value| value.is_finite()).then(|| SignalTrace {
             quantity: Quantity::Estimate(key),
             time_s: Arc::clone(&time_s),
             measured,
@@ -373,7 +367,7 @@ const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
     }
 }
 
-/// The torque of the motor beside the one that the model asks for.
+/// The torque of the motor and that of the inverse model.
 fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) -> SignalTrace {
     SignalTrace {
         quantity: Quantity::Channel(Channel::Torque),
@@ -389,8 +383,8 @@ fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kit::{nameplate, truth};
     use drivebench_model::plant::testing::{self, SPEED_NOISE_RAD_S, with_a_fan};
-    use drivebench_model::plant::{ActiveEffect, Motor, effect};
     use drivebench_model::sample::Origin;
 
     fn evidence() -> Evidence {
@@ -401,10 +395,7 @@ mod tests {
     }
 
     fn with_its_fan() -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        let fan = effect::find("quadratic_load").unwrap();
-        model.effects.push(ActiveEffect::with(fan, &[4e-6]));
-        model
+        truth("quadratic_load", &[4e-6])
     }
 
     fn rms(trace: &SignalTrace) -> f64 {
@@ -414,10 +405,10 @@ mod tests {
     }
 
     #[test]
-    fn a_right_model_leaves_the_noise_a_wrong_one_more_and_a_gap_stays_a_gap() {
+    fn a_right_model_has_the_residual_of_the_noise_and_a_gap_stays_a_gap() {
         let none = RecordedChannels::default();
         let right = Traces::of(&with_its_fan(), &evidence(), &none).unwrap();
-        let wrong = Traces::of(&Model::baseline(Motor::zk_22fc()), &evidence(), &none).unwrap();
+        let wrong = Traces::of(&nameplate(), &evidence(), &none).unwrap();
         assert_eq!(right.effects, ["quadratic_load"]);
         assert_eq!(wrong.effects, [""; 0]);
         let parts: Vec<Part> = right.runs.iter().map(|run| run.part).collect();
@@ -436,7 +427,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_place_is_where_the_model_is_farthest_off() {
+    fn the_worst_place_has_the_largest_residual() {
         let time_s: Arc<[f64]> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
         let bump = |at: f64, size: f64, t: f64| size * (-((t - at) / 0.05).powi(2)).exp();
         let model: Vec<f64> =
@@ -458,7 +449,7 @@ mod tests {
     }
 
     #[test]
-    fn a_split_run_is_one_run_and_says_from_when_on_it_is_held_out() {
+    fn a_split_run_is_one_run_with_the_begin_of_its_held_out_part() {
         let evidence = Evidence::new(with_a_fan(0), None, None);
         let traces = Traces::of(&with_its_fan(), &evidence, &RecordedChannels::default()).unwrap();
         let [run] = traces.runs.as_slice() else { panic!("{}", traces.runs.len()) };
@@ -468,7 +459,7 @@ mod tests {
     }
 
     #[test]
-    fn what_else_was_recorded_stands_beside_under_the_time_of_its_run() {
+    fn further_channels_have_the_time_of_their_run() {
         let fitted = with_a_fan(0);
         let times = fitted.sample_time_s.clone();
         let volts = times.iter().map(|time_s| fitted.input_at(*time_s)).collect();

@@ -1,7 +1,7 @@
 //! Trivial predictions of a held-out run: a constant, and for a speed under a voltage a first-order lag.
 //!
-//! A fit that does not beat them follows nothing of the machine, and nothing can be concluded from what it leaves: neither that
-//! an effect is there nor that it is not. Forecasts are scored against such benchmarks throughout (Hyndman and Koehler 2006,
+//! A fit that does not beat them has no predictive power, and nothing can be concluded from its residual: neither that
+//! an effect is present nor that it is not. Forecasts are scored against such benchmarks (Hyndman and Koehler 2006,
 //! "Another look at measures of forecast accuracy").
 
 use super::evidence::Evidence;
@@ -11,13 +11,13 @@ use drivebench_model::findings;
 use drivebench_model::numerics::statistics::{finite, mean, variance};
 use drivebench_model::plant::Scenario;
 
-/// A signal that leaves less than this many times its noise about its mean does not move: no model can beat the mean.
+/// A signal with less than this many times its noise about its mean is constant: no model can beat the mean.
 const MOVES_RATIO: f64 = 2.0;
-/// How many times the error of a lag that of the model may be: the lag is fitted to the speed alone, the model to the current
-/// too, so that it need not be quite as near to the speed.
+/// Largest ratio of the model's error to that of a lag: the lag is fitted to the speed alone, the model to the current
+/// too, so that its error of the speed may be larger.
 const LAG_RATIO: f64 = 1.25;
 /// Share of the error of the best constant that a model has to stay below: above it less than a fifth of the variance is
-/// explained, as a model that follows the wrong input does by chance.
+/// explained, as by chance with a wrong input.
 const CONSTANT_RATIO: f64 = 0.9;
 /// Readings below which nothing is compared.
 const FEWEST: usize = 8;
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_that_follows_nothing_is_as_good_as_a_constant_or_a_lag() {
+    fn a_model_without_predictive_power_does_not_beat_a_constant_or_a_lag() {
         let mut heavy = nameplate();
         heavy.motor.set(MotorKey::Inertia, 10.0);
         let of = found(&heavy).unwrap();
@@ -133,11 +133,11 @@ mod tests {
     }
 
     #[test]
-    fn a_balance_is_held_against_the_mean_of_its_torque() {
+    fn a_balance_is_compared_with_the_mean_of_its_torque() {
         let held_out: Vec<f64> = (0..40).map(|k| f64::from(k % 7)).collect();
         let is_found = |own| constant("torque", "N.m", own, &held_out, &held_out, 0.0).is_some();
         assert!(is_found(2.5) && is_found(f64::NAN) && !is_found(0.5));
-        // A signal that is noise alone is no test.
+        // A signal of noise alone is not compared.
         assert_eq!(constant("torque", "N.m", 2.5, &held_out, &held_out, 2.0), None);
         assert_eq!(constant("torque", "N.m", 2.5, &held_out, &held_out[..3], 0.0), None);
     }

@@ -1,8 +1,8 @@
-//! Two models on the same held-out run: which meets it better, by how much, and whether that is more than chance.
+//! Comparison of two models on the same held-out run: the better one, the difference, and its significance.
 //!
-//! Both meet the same samples, so their errors are compared sample by sample. Neighbouring errors of a model that misses
-//! something are alike, so that samples are no separate witnesses: the run is cut into blocks, and each block says once
-//! which model it favours.
+//! Their errors are compared sample by sample (a paired test). Neighbouring errors of a model that lacks
+//! an effect are correlated, so that samples are not independent: the run is cut into blocks, and each block is one
+//! observation.
 
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
@@ -19,16 +19,16 @@ use drivebench_model::plant::{Input, Model};
 
 /// Blocks into which the held-out run is cut.
 const BLOCKS: usize = 20;
-/// How sure it must be before one model is called the better.
+/// Confidence of the test.
 const CONFIDENCE: f64 = 0.99;
 
-/// Which of two models is better, as far as the run tells.
+/// Which of two models is significantly better.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Better {
     First,
     Second,
-    /// The difference is within what chance makes of it.
+    /// The difference is not significant.
     NotToldApart,
 }
 
@@ -46,7 +46,7 @@ pub struct SignalVersus {
 pub struct Versus {
     pub better: Better,
     pub signals: Vec<SignalVersus>,
-    /// Errors of both on the hold-out, in units of the noise floor, or of the scale where none is known.
+    /// Errors of both on the hold-out, in units of the noise floor, or of the baseline's error where none is known.
     pub holdout_rmse: [f64; 2],
     pub noise_floor_from: FloorSource,
     /// Mean over the blocks of the first model's squared error less the second's, in squared units of the noise, and its
@@ -54,14 +54,14 @@ pub struct Versus {
     pub difference: Option<f64>,
     pub difference_std: Option<f64>,
     pub blocks: usize,
-    /// Standard errors beyond which a difference counts.
+    /// Standard errors beyond which a difference is significant.
     pub limit: f64,
     #[serde(rename = "code")]
     pub finding: VersusFinding,
 }
 
 findings! {
-    /// What the comparison of two models comes to.
+    /// Result of the comparison of two models.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum VersusFinding {
         FirstBetter = "first_is_better",
@@ -107,7 +107,7 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
     })
 }
 
-/// What the blocks of a run say of two models.
+/// Paired comparison of two models over the blocks of a run.
 pub(super) struct ByBlocks {
     pub(super) better: Better,
     difference: Option<f64>,
@@ -117,7 +117,7 @@ pub(super) struct ByBlocks {
 }
 
 impl ByBlocks {
-    /// `levels`: what an error of current, speed and torque is counted in; not finite where it is not.
+    /// `levels`: units of the errors of current, speed and torque; not finite where a signal is not judged.
     pub(super) fn of(scores: [&Score; 2], levels: [f64; 3]) -> Self {
         let blocks = blocks(scores, levels);
         let limit = StudentsT::new(0.0, 1.0, (blocks.len().max(2) - 1) as f64)
@@ -152,8 +152,7 @@ fn blocks(scores: [&Score; 2], levels: [f64; 3]) -> Vec<f64> {
         (&first.torque_residual, &second.torque_residual, levels[2]),
     ];
     let judged = || pairs.iter().filter(|pair| pair.2.is_finite());
-    let times = judged().flat_map(|pair| pair.0.iter().map(|point| point.0));
-    let times: Vec<f64> = times.collect();
+    let times: Vec<f64> = judged().flat_map(|pair| pair.0.iter().map(|point| point.0)).collect();
     let (begin_s, end_s) = extent(&times);
     if times.is_empty() || end_s <= begin_s {
         return Vec::new();
@@ -171,8 +170,7 @@ fn blocks(scores: [&Score; 2], levels: [f64; 3]) -> Vec<f64> {
             sums[block].1 += 1;
         }
     }
-    let known = sums.into_iter().filter(|sum| sum.1 > 0);
-    known.map(|(sum, count)| sum / count as f64).collect()
+    sums.into_iter().filter(|sum| sum.1 > 0).map(|(sum, count)| sum / count as f64).collect()
 }
 
 fn signals(scores: &[Score; 2]) -> Vec<SignalVersus> {
@@ -197,8 +195,9 @@ fn signals(scores: &[Score; 2]) -> Vec<SignalVersus> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kit::{nameplate, truth};
     use drivebench_model::plant::testing::{held, record};
-    use drivebench_model::plant::{Motor, MotorKey, effect};
+    use drivebench_model::plant::{Motor, MotorKey};
 
     fn evidence(model: &Model) -> Evidence {
         let events = || held([0.0, 0.5, 1.5, 2.5, 3.5], [0.0, 40.0, -30.0, 15.0, 0.0]);
@@ -206,18 +205,11 @@ mod tests {
         Evidence::new(run(1), Some(run(2)), None)
     }
 
-    fn with_friction(viscous: f64) -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        let effect = effect::find("viscous_friction").unwrap();
-        model.effects.push(drivebench_model::plant::ActiveEffect::with(effect, &[viscous]));
-        model
-    }
-
     #[test]
-    fn the_true_model_is_better_and_swapping_the_two_says_the_same() {
-        let truth = with_friction(8e-4);
+    fn the_true_model_is_better_in_either_order() {
+        let truth = truth("viscous_friction", &[8e-4]);
         let evidence = evidence(&truth);
-        let bare = Model::baseline(Motor::zk_22fc());
+        let bare = nameplate();
         let found = versus([&bare, &truth], &evidence).unwrap();
         assert_eq!(found.better, Better::Second, "{found:?}");
         assert_eq!(found.finding, VersusFinding::SecondBetter);
@@ -229,8 +221,8 @@ mod tests {
     }
 
     #[test]
-    fn models_that_differ_by_less_than_the_noise_shows_are_not_told_apart() {
-        let truth = Model::baseline(Motor::zk_22fc());
+    fn a_difference_below_the_noise_is_not_significant() {
+        let truth = nameplate();
         let evidence = evidence(&truth);
         let inertia =
             |share: f64| Model::baseline(Motor::zk_22fc().with(MotorKey::Inertia, 0.0045 * share));

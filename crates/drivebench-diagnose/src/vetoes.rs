@@ -1,11 +1,11 @@
-//! Vetoes: what keeps an effect from being named whatever its posterior probability is, each with its reason.
+//! Vetoes: reasons not to name an effect, whatever its posterior probability.
 //!
 //! A posterior compares sets of effects under a linearised model. Whether the refitted model with an effect is a better one is
 //! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
-//! chance, and to leave the machine an inertia. No veto changes a probability.
+//! chance, and to leave an inertia above zero. No veto changes a probability.
 
 use super::joint::answer::Inference;
-use super::ladder::{A_SIZE_SIGMAS, AS_GOOD, Bench, Standing};
+use super::ladder::{AS_GOOD, Bench, SIGNIFICANT_SIGMAS, Standing};
 use super::limits::WhyOpen;
 use super::residual::FEWEST_SAMPLES;
 use super::score::{SETTLED_BELOW_RATIO, Score};
@@ -14,10 +14,10 @@ use drivebench_identify::noise::FloorSource;
 use drivebench_model::findings;
 use drivebench_model::plant::{MotorKey, ParameterRole, effect};
 
-/// What a size that may be anything, at a time that may be any, takes from a deviance by chance at most.
+/// Largest fall of a deviance by chance, with a free size at a free time.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
 
-/// Ratio of the errors before and after from which a fall is clear without a look at its blocks, a third of the squares; and
+/// Ratio of the errors before and after from which a fall is significant without the block test, a third of the squares; and
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
 const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
@@ -32,7 +32,7 @@ findings! {
     /// Why an effect is not named.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum VetoReason {
-        /// More than `most` would be there at once.
+        /// More than `most` effects would be named.
         Surplus { most: usize } = "too_many_effects",
         HoldoutStill = "holdout_still",
         /// Its refit does not halve the held-out error, which alone counts where the search was cut.
@@ -44,14 +44,14 @@ findings! {
         SizeMayBeZeroInBalance = "size_may_be_zero_in_the_balance",
         NoInertia = "no_inertia_left",
         ByChance = "no_better_than_chance",
-        /// Most stays unexplained with all that would be named.
+        /// Most stays unexplained with all of them.
         Unexplained(WhyUnexplained) = "most_stays_unexplained",
         /// The held-out error before and after.
         NotLower { before: f64, after: f64, floor: FloorSource } = "held_out_error_not_lower",
     }
 }
 
-/// What shows that the probabilities are those of a model that follows nothing.
+/// Why the probabilities are those of a model without predictive power.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum WhyUnexplained {
     Open(WhyOpen),
@@ -59,10 +59,10 @@ pub enum WhyUnexplained {
     NotWhite,
 }
 
-/// Effects of one machine that one diagnosis names at most: beyond them a search has put together what follows the misfit.
+/// Most effects of one diagnosis: more of them are an overfit.
 const MOST_NAMED: usize = 8;
 
-/// Those beyond the number that one machine has, the ones that explain least.
+/// Those beyond that number, which explain least.
 pub(super) fn surplus(inference: &Inference) -> Vec<Veto> {
     let beyond = inference.named.iter().skip(MOST_NAMED);
     let reason = VetoReason::Surplus { most: MOST_NAMED };
@@ -88,8 +88,8 @@ pub(super) fn first(
         .or_else(|| without_weight(bench, inference, named, rungs))
 }
 
-/// Any named effect where the hold-out does not move: an error that stays the same is a matter of a level alone, which every
-/// effect with a size can mend.
+/// Any named effect where the hold-out does not change: its error is a constant, which every
+/// effect with a size can remove.
 fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
     let last = *named.last()?;
     let veto = Veto { effect: last, reason: VetoReason::HoldoutStill };
@@ -97,7 +97,7 @@ fn still(bench: &Bench, named: &[&'static str]) -> Option<Veto> {
 }
 
 /// The last named effect whose rung does not halve the held-out error, where the search was ended by its budget: no set of effects
-/// stood, so that the fall of the error alone speaks for a name. `errors` are those of the rungs.
+/// was confirmed, so that only the fall of the error counts. `errors` are those of the rungs.
 fn unsearched(is_cut: bool, named: &[&'static str], errors: &[f64]) -> Option<Veto> {
     let [_, clear] = CLEAR_FALL_RATIOS;
     let is_clear = |pair: &[f64]| pair[0] >= clear * pair[1];
@@ -106,7 +106,7 @@ fn unsearched(is_cut: bool, named: &[&'static str], errors: &[f64]) -> Option<Ve
     Some(Veto { effect, reason: VetoReason::SearchCut })
 }
 
-/// The last named effect that oscillates where no sample shows it: its frequency lies above half the rate of the samples, or is
+/// The last named effect with an unresolved oscillation: its frequency lies above half the sampling rate, or is
 /// not distinguishable from zero.
 fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
@@ -128,15 +128,15 @@ fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Opti
     named.iter().rev().find_map(|id| of(id))
 }
 
-/// The last named effect of which the fit with all of them does not tell whether it is there at all.
+/// The last named effect whose size is not significant in the fit with all of them.
 fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
     let mut named = named.iter().rev().copied();
-    let effect = named.find(|id| fit.is_told_from_zero(id, A_SIZE_SIGMAS) == Some(false))?;
+    let effect = named.find(|id| fit.is_significant(id, SIGNIFICANT_SIGMAS) == Some(false))?;
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 
-/// The effect with which a balance of torques loses the inertia that it has without it: its column stands for the balance
+/// The effect with which the estimated inertia of a balance is no longer positive: its column is collinear with the balance
 /// itself.
 fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     if !bench.fits_at_once() {
@@ -152,8 +152,8 @@ fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) ->
     Some(Veto { effect, reason: VetoReason::NoInertia })
 }
 
-/// The last named effect that takes no more from the errors on both runs than chance does, where those before it leave an
-/// error at the floor: any that joins a baseline which is there, and beside others one that these runs would not show.
+/// The last named effect that lowers the errors on both runs by no more than chance, where those before it leave an
+/// error at the floor: any, where the baseline is at the floor, and beside others one that is not detectable in these runs.
 fn by_chance(
     bench: &Bench,
     inference: &Inference,
@@ -177,8 +177,8 @@ fn by_chance(
     Some(Veto { effect, reason: VetoReason::ByChance })
 }
 
-/// The last named effect where all of them together explain next to nothing, and no linear solution of the search is believed, the
-/// innovations are far from white, or several times the noise is left: its probabilities are those of a model that follows nothing.
+/// The last named effect where all of them together explain hardly anything, and no linear solution of the search is valid, the
+/// innovations are not white, or several times the noise is left: the probabilities of a model without predictive power.
 fn without_weight(
     bench: &Bench,
     inference: &Inference,
@@ -189,8 +189,8 @@ fn without_weight(
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
     let much_is_left = floor.expected() > 0.0 && last > SETTLED_BELOW_RATIO * floor.expected();
-    let is_believed = inference.why_open().is_none() && inference.is_nearly_white();
-    if is_believed && !much_is_left || floor.is_explained_in_part(base, last) {
+    let is_valid = inference.why_open().is_none() && inference.is_nearly_white();
+    if is_valid && !much_is_left || floor.is_explained_in_part(base, last) {
         return None;
     }
     let why = match inference.why_open() {
@@ -201,10 +201,10 @@ fn without_weight(
     Some(Veto { effect, reason: VetoReason::Unexplained(why) })
 }
 
-/// The last named effect that is of no use where the error stays above the floor with all of them: it takes of the fitted run
-/// what has another cause. On its rung it does not lower the held-out error by more than chance: neighbouring errors of a model
-/// that misses something are alike, so that a fall that is not clear is judged by the blocks of the run. What happens once need not
-/// happen in the hold-out: it may leave that error as it is where it explains a good part of the fitted run's.
+/// The last named effect that does not improve the prediction where the error stays above the floor with all of them: it is
+/// fitted to another cause. On its rung it does not lower the held-out error by more than chance: neighbouring errors of a model
+/// that lacks an effect are correlated, so that a small fall is judged by the blocks of the run. An event need not
+/// occur in the hold-out: it may leave that error unchanged where it explains a good part of the fitted run's.
 fn without_use(
     bench: &Bench,
     inference: &Inference,
@@ -226,7 +226,7 @@ fn without_use(
             let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
             !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
-            // Where the innovations are white beside a known noise, the posterior has weighed the drift of the free run.
+            // Where the innovations are white with a known noise, the posterior accounts for the drift of the free run.
             let is_known = bench.evidence.noise.source != FloorSource::None;
             let is_white = is_known && inference.is_nearly_white() && !inference.is_cut();
             let samples = pair[1].score.samples();
@@ -239,8 +239,7 @@ fn without_use(
             !lowers(held_out, samples) || is_little && !is_white && by_chance()
         }
     };
-    let steps = rungs.windows(2).enumerate().rev();
-    let mut named = steps.map(|(step, pair)| (named[step], pair));
+    let mut named = rungs.windows(2).enumerate().rev().map(|(step, pair)| (named[step], pair));
     let (effect, pair) = named.find(|(id, pair)| is_of_no_use(id, pair))?;
     let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
     let floor = bench.evidence.noise.source;
@@ -257,15 +256,13 @@ fn lowers([before, after]: [f64; 2], samples: usize) -> bool {
 /// Whether an effect begins at an instant of a run.
 fn happens_once(id: &str) -> bool {
     let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
-    let mut roles = parameters.iter().map(|own| own.role);
-    roles.any(|role| role == ParameterRole::EventTime)
+    parameters.iter().map(|own| own.role).any(|role| role == ParameterRole::EventTime)
 }
 
-/// The steps down a ladder that are no longer than chance makes them.
+/// The steps of a ladder that lower the deviance by no more than chance.
 fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
     let steps = deviances.windows(2).enumerate();
-    let short = steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE);
-    short.map(|(step, _)| step).collect()
+    steps.filter(|(_, pair)| pair[0] - pair[1] < BY_CHANCE_DEVIANCE).map(|(step, _)| step).collect()
 }
 
 #[cfg(test)]
@@ -273,7 +270,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_step_that_chance_makes_is_none() {
+    fn steps_by_chance_are_found() {
         // 2,400 readings: an error of 1.0007 floors that becomes 1.0005, and one of 1.02 that becomes 1.
         let of = |nrms: f64| 2400.0 * nrms * nrms;
         for (errors, expected) in [
@@ -289,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn a_search_that_was_cut_names_what_halves_the_error() {
+    fn a_cut_search_names_effects_that_halve_the_error() {
         let named = ["backlash", "speed_delay"];
         let of =
             |is_cut, errors: &[f64]| unsearched(is_cut, &named, errors).map(|veto| veto.effect);

@@ -1,17 +1,17 @@
 //! Budget of a diagnosis, in sub-steps of simulation, so that a run which no set of effects explains costs seconds.
 //!
-//! A clock would end the same search elsewhere on another machine. Sub-steps are counted as they are simulated, on whatever
+//! A limit of time would not be reproducible on another machine. Sub-steps are counted as they are simulated, on any
 //! thread, and the count is read between steps of the search only, where it does not depend on the order of the threads.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// Sub-steps, each as cheap as those of a linear machine, after which a search takes no further step. Two cores simulate some 80
-/// million a second, and two records of 25,500 rows are answered in 15 s; with less a shaft with play at 100 Hz was not searched to
-/// the end, and got two false names more.
+/// Sub-steps of a linear machine, or their equivalent, after which a search takes no further step. Two cores simulate some 80
+/// million a second, and two records of 25,500 rows are diagnosed in 15 s; with less a backlash at 100 Hz was not searched to
+/// the end, with two false names more.
 const MOST_STEPS: u64 = 400_000_000;
 /// Share of the budget that one refit may take.
 const REFIT_SHARE: f64 = 0.1;
-/// Fewest iterations of a refit: fewer do not reach the valley that they begin in.
+/// Fewest iterations of a refit: fewer do not converge from the initial values.
 const FEWEST_ITERATIONS: usize = 4;
 
 /// What a search has simulated.
@@ -29,8 +29,8 @@ impl Work {
         self.steps.load(Ordering::Relaxed) >= MOST_STEPS
     }
 
-    /// The same of what one refit has simulated: a model may become stiff on its way, and each of its iterations as dear as
-    /// all that were foreseen.
+    /// The same of one refit: a model may become stiff during the fit, and each of its iterations as expensive as
+    /// all that were planned.
     pub(super) fn is_spent_by_a_refit(&self) -> bool {
         self.steps.load(Ordering::Relaxed) as f64 >= 2.0 * REFIT_SHARE * MOST_STEPS as f64
     }

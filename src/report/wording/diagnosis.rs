@@ -180,7 +180,7 @@ fn unseen(found: &Diagnosis) -> String {
     let with = |status: Status| found.candidates.iter().filter(move |own| own.status == status);
     // An effect with a probability above 50 % that is not named was not confirmed by a refit.
     let (refuted, possible): (Vec<&Candidate>, Vec<&Candidate>) =
-        with(Status::Possible).partition(|own| own.is_not_borne_out());
+        with(Status::Possible).partition(|own| own.is_not_confirmed_by_refit());
     let possible = possible.into_iter();
     let possible: Vec<String> =
         possible.map(|own| format!("{} ({})", own.effect, probability(own.probability))).collect();

@@ -10,8 +10,8 @@ const MOST_NAMES: usize = 4;
 /// What to run, why, and what it will show.
 pub fn next_run(next: &NextExperiment) -> String {
     match next.finding {
-        Recommendation::TellsApart => pairs(next),
-        Recommendation::CannotTellApart { faster } => {
+        Recommendation::Distinguishes => pairs(next),
+        Recommendation::CannotDistinguish { faster } => {
             pairs(next) + &faster.as_ref().map_or_else(String::new, with_faster)
         }
         Recommendation::Shows => {
@@ -35,7 +35,7 @@ pub fn next_run(next: &NextExperiment) -> String {
 fn pairs(next: &NextExperiment) -> String {
     let mut parts = Vec::new();
     let (distinguished, hidden): (Vec<_>, Vec<_>) =
-        next.pairs.iter().partition(|pair| pair.is_told());
+        next.pairs.iter().partition(|pair| pair.is_separated());
     if let Some(first) = distinguished.first() {
         let rivals = distinguished.iter().map(|distinguished| {
             let [a, b] = distinguished.pair.map(name);
@@ -154,7 +154,7 @@ mod tests {
         let text = next_run(&next);
         assert!(text.starts_with(run) && text.ends_with("; 612 is sufficient"), "{text}");
         let faster = FasterRun { slew_v_per_s: 400.0, program: "fast_dither", separation: 700.0 };
-        next.finding = Recommendation::CannotTellApart { faster: Some(faster) };
+        next.finding = Recommendation::CannotDistinguish { faster: Some(faster) };
         next.pairs = vec![PairEntry { expected_separation: 10.0, best_separation: 10.0, ..pair }];
         let text = next_run(&next);
         let end = "with limits.slew_v_per_s = 400 in the bench file, a fast dither about zero volts is sufficient (separation 700)";

@@ -493,7 +493,7 @@ fn a_poor_result_is_not_green() {
     found.candidates.truncate(1);
     answer(&mut state, found.clone());
     shows(&state, &["✓ NOTHING MISSING"]);
-    found.remember_rivals(&[["stribeck_friction", "cogging"]]);
+    found.mark_rivals(&[["stribeck_friction", "cogging"]]);
     answer(&mut state, found);
     let shown = text(&state, 120, 40);
     assert!(shown.contains("~ NOTHING MISSING THAT THESE RUNS COULD SHOW"), "{shown}");

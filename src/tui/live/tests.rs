@@ -22,7 +22,7 @@ use drivebench_bench::{
     Excitation, InnovationPoint, Intent, Level, Notice, Phase, Snapshot, Stop, Target, Timing,
     TracePoint, Trip, TripKind,
 };
-use drivebench_diagnose::Leaning;
+use drivebench_diagnose::RankedEffect;
 use drivebench_identify::online::Frozen;
 use drivebench_link::LinkStatistics;
 use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
@@ -258,7 +258,7 @@ fn with(model: &Model, change: impl FnOnce(&mut Model)) -> Model {
 /// The same with a provisional ranking of effects.
 fn ranked(snapshot: Snapshot) -> Model {
     let mut model = model(snapshot);
-    let ranked = |effect, share| Leaning { effect, equation: "torque", share, windows: 212 };
+    let ranked = |effect, share| RankedEffect { effect, equation: "torque", share, windows: 212 };
     model.update(Event::Ranking(Arc::new(ProvisionalRanking {
         effects: vec![ranked("quadratic_load", 0.93), ranked("viscous_friction", 0.41)],
         seconds: 8.4,

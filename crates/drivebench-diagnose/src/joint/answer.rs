@@ -271,8 +271,8 @@ pub(crate) fn infer(
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
     let known = evidence.noise.source != FloorSource::None;
-    let (speaking, held_out) = evidence.speaking();
-    let runs: Vec<Scenario> = speaking.iter().map(|run| prepared(run, known)).collect();
+    let (recorded_runs, held_out) = evidence.recorded_runs();
+    let runs: Vec<Scenario> = recorded_runs.iter().map(|run| prepared(run, known)).collect();
     let scenarios: Vec<&Scenario> = runs.iter().collect();
     let first = State::at(baseline.start.current_a, baseline.start.speed_rad_s);
     let starts = starts(&runs, held_out, first);
@@ -351,7 +351,7 @@ pub(crate) fn infer(
 /// Positions of the first `count` runs.
 fn runs_of(evidence: &Evidence, count: usize) -> Vec<RunPosition> {
     let length_s = |run: &Scenario| run.sample_time_s[run.samples() - 1] - run.begin_s();
-    let begins_s = evidence.begins_s();
+    let begins_s = &evidence.begins_s;
     let position = |number: usize| {
         let of = match (evidence.holdout_from, begins_s.get(number)) {
             (HoldoutFrom::Split, _) if number == 0 => RunOf::Whole,
@@ -407,7 +407,7 @@ mod tests {
         let split = Evidence::new(run(1), None, None);
         let several = split.clone().with_run(run(2));
         let held_out = Evidence::new(run(1), Some(run(3)), None).with_run(run(2));
-        let (begins_s, behind_s) = (several.begins_s()[1], f64::INFINITY);
+        let (begins_s, behind_s) = (several.begins_s[1], f64::INFINITY);
         for (evidence, number, at_s, expected_s) in [
             (&split, 0, 4.0, 4.0),
             (&several, 0, 2.0, 2.0),
@@ -421,7 +421,7 @@ mod tests {
                 effect: effect::find("load_step").unwrap(),
                 values: vec![0.1, at_s],
             };
-            let place = runs_of(evidence, evidence.speaking().0.len())[number];
+            let place = runs_of(evidence, evidence.recorded_runs().0.len())[number];
             let found_s = in_fitted_runs(&event, place).values_or_guess()[1];
             let ends_s = evidence.training.sample_time_s[evidence.training.samples() - 1];
             let is_right = if expected_s < behind_s {

@@ -49,7 +49,7 @@ impl ExpectedInformation {
         basis: InformationBasis,
     ) -> Self {
         let known = evidence.noise.source != FloorSource::None;
-        let (in_hand, held_out) = evidence.speaking();
+        let (in_hand, held_out) = evidence.recorded_runs();
         let runs: Vec<Scenario> = in_hand.iter().map(|run| prepared(run, known)).collect();
         let own = model.effects.iter().map(|active| active.effect);
         let missing = eligible.iter().copied().filter(|effect| !model.has(effect.card().id));

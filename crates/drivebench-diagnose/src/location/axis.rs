@@ -1,7 +1,7 @@
 //! Location of an equation's error along each variable: the share that follows it, and the narrowest range that holds most.
 //!
-//! Every variable has its columns, averaged over each window with the test function, so that what passes through many
-//! turns or many amperes within one window counts as what it is there. Their adjusted share of the error is compared.
+//! Every variable has its columns, averaged over each window with the test function, so that a variable that passes through
+//! many turns or amperes within one window has its true average. Their adjusted R2 is compared.
 
 use std::f64::consts::{PI, TAU};
 
@@ -16,22 +16,22 @@ use drivebench_model::plant::{Balance, Model, MotorKey};
 /// Hat functions along speed and current, and along time.
 const HATS: usize = 16;
 const HATS_OF_TIME: usize = 24;
-/// Periods per turn that are looked for.
+/// Largest order per turn.
 const ORDERS: usize = 36;
 /// Thresholds of the search along each variable.
 struct Settings {
-    /// Windows (by their weight) in which a wave must be visible.
-    fewest_seen: f64,
+    /// Fewest windows, by weight, with a contribution of a wave.
+    fewest_windows_of_wave: f64,
     /// Share of the error that must follow a variable to be reported.
     worth_mentioning_share: f64,
     /// The same in multiples of what chance explains.
     beyond_chance: f64,
-    /// Time explains nothing by itself, and a line hides in every periodic excitation: they come first only where no physical
+    /// Time is no physical cause, and every periodic excitation has spectral lines: they come first only where no physical
     /// variable comes near.
     weight_of_time: f64,
     /// The same of a line in frequency.
     weight_of_line: f64,
-    /// One wrong value of the motor explains as much as a curve with one column: preferred down to this share of it.
+    /// Weight of a single wrong value of the motor against a curve of many columns.
     parsimony: f64,
     /// A direction of motion holds the error if it has this share of it.
     one_sided_share: f64,
@@ -45,7 +45,7 @@ struct Settings {
     ridge: f64,
     /// Share of the error that follows a variable which a region must hold.
     region_share: f64,
-    /// Share of the time of a range of sizes below which a range on one side is preferred to it: most faults do not know a sign.
+    /// Share of the time of a range of magnitudes below which a one-sided range is preferred: most faults are even in the sign.
     narrower_share: f64,
     /// Periods that a line has within the run at least: what is slower is a drift.
     fewest_periods: f64,
@@ -56,7 +56,7 @@ struct Settings {
 }
 
 const SETTINGS: Settings = Settings {
-    fewest_seen: 30.0,
+    fewest_windows_of_wave: 30.0,
     worth_mentioning_share: 0.1,
     beyond_chance: 4.0,
     weight_of_time: 0.85,
@@ -74,13 +74,13 @@ const SETTINGS: Settings = Settings {
     alone_share: 0.5,
 };
 
-/// A variable that the error follows, and what it is ranked by.
+/// A variable on which the error depends, and its rank.
 struct Ranked {
     location: FailureLocation,
     weight: f64,
 }
 
-/// The variables that the error follows, the one that it follows most first. `refitted`: whether the error is what the
+/// The variables on which the error depends, the largest share first. `refitted`: whether the error is what the
 /// equation's own parameters leave, so that their columns stand beside every variable's.
 pub(super) fn ranked(
     windows: &Windows<'_>,
@@ -101,7 +101,7 @@ pub(super) fn ranked(
             found.extend(search.curve("current_a"));
             found.extend(search.late(model));
         }
-        // Not the current: it drives this balance, so that whatever is missing shows in it.
+        // Not the current: this balance is solved for it, so that every missing effect correlates with it.
         Balance::Torque => {
             found.extend(search.turns());
             found.extend(search.line());
@@ -111,7 +111,7 @@ pub(super) fn ranked(
     found.extend(search.drift());
     found.extend(search.one_way());
     found.sort_by(|a: &Ranked, b| b.weight.total_cmp(&a.weight));
-    // Of one variable the better form.
+    // The better form of each variable.
     let mut kept: Vec<FailureLocation> = Vec::new();
     for Ranked { location, .. } in found {
         if kept.iter().all(|own| own.variable != location.variable) {
@@ -128,7 +128,7 @@ pub(super) struct Search<'a> {
     pub own: usize,
 }
 
-/// How much of an error some columns explain.
+/// Regression of an error on columns.
 #[derive(Default)]
 struct Fit {
     /// Coefficient of each column, the equation's own first.
@@ -137,7 +137,7 @@ struct Fit {
     adjusted: f64,
     /// Share of the squared error beyond the noise.
     follows: f64,
-    /// Explained power over what chance gives to as many columns.
+    /// Explained power over its expectation by chance with as many columns (an F statistic).
     strength: f64,
 }
 
@@ -281,7 +281,7 @@ impl Search<'_> {
             return ErrorForm::Throughout;
         }
         let either_way = region.of_size;
-        // A drive counts its time from where it was switched on, a person that of a run from its begin.
+        // The time stamps of a drive count from its power-on, those of a run from its begin.
         let begin_s = if variable == "time_s" { self.windows.scenario.begin_s() } else { 0.0 };
         match (region.from_lowest, region.to_highest) {
             (true, _) => ErrorForm::Below { either_way, begin_s },
@@ -290,7 +290,7 @@ impl Search<'_> {
         }
     }
 
-    /// Quantiles of a variable over the windows: sharp where the run spent much time.
+    /// Knots at quantiles of a variable over the windows.
     fn knots(&self, at: impl Fn(&Window) -> f64, most: usize) -> Option<Vec<f64>> {
         let mut values: Vec<f64> = self.of().map(at).filter(|v| v.is_finite()).collect();
         values.sort_by(f64::total_cmp);
@@ -300,8 +300,7 @@ impl Search<'_> {
         if most == HATS {
             let largest = values[0].abs().max(values[last].abs());
             let near_zero = [0.02, 0.04, 0.08, 0.16, 0.32].map(|share| share * largest);
-            let edges = near_zero.iter().flat_map(|edge| [-edge, *edge]);
-            let edges = edges.chain([0.0]);
+            let edges = near_zero.iter().flat_map(|edge| [-edge, *edge]).chain([0.0]);
             knots.extend(edges.filter(|edge| *edge > values[0] && *edge < values[last]));
             knots.sort_by(f64::total_cmp);
         }
@@ -325,8 +324,8 @@ impl Search<'_> {
         Some(self.ranked(variable, region, &fit, 1.0, form))
     }
 
-    /// Each of the equation's own parameters alone. A value that was fitted to a whole run is no property of the machine where
-    /// short windows contradict it: both values are given, and neither is called wrong.
+    /// Each of the equation's own parameters alone. Where short windows contradict a value that was fitted to the whole run
+    /// both values are given, without a decision which is wrong.
     fn own_values(&self, model: &Model, error_of: ErrorOf) -> Vec<Ranked> {
         let variables: &[&'static str] = match self.equation {
             Balance::Voltage => &["current_a", "current_rate_a_s", "speed_rad_s"],
@@ -354,14 +353,14 @@ impl Search<'_> {
         keys.filter_map(one).collect()
     }
 
-    /// The steps of the voltage: `v = -delay <du/dt>` where it comes late.
+    /// Delay of the voltage: `v = -delay <du/dt>`.
     fn late(&self, model: &Model) -> Option<Ranked> {
         let fit = self.fit(&self.rows(1, |window, row| row[0] = window.input_rate))?;
         // The loss is u(t) - u(t - delay).
         let delay_s = fit.coefficients[self.own];
         let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
         let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
-        // Samples that miss the armature's transient tell that there is a delay, not how long it is.
+        // Samples that do not resolve the armature's transient show a delay, but not its length.
         let is_resolved = self.windows.period_s < 0.5 * time_constant_s;
         let form = ErrorForm::VoltageTiming { delay_s, is_resolved };
         let region = everywhere(delay_s.min(0.0), delay_s.max(0.0));
@@ -375,14 +374,14 @@ impl Search<'_> {
         let average = |window: &Window| {
             let mut waves = vec![[0.0; 2]; ORDERS + 1];
             let weights = self.windows.weights_of(window).mean;
-            // A wave that turns by more than half between two samples is seen as another: its average is nothing.
+            // Above half the sampling rate a wave is aliased: it is left out.
             let step_rad = window.speed_rad_s.abs() * self.windows.period_s;
-            let visible = (PI / step_rad.max(1e-9)).min(1e6);
+            let highest_order = (PI / step_rad.max(1e-9)).min(1e6);
             for (weight, angle) in weights.iter().zip(&angle[self.windows.samples_of(window)]) {
                 let (sin, cos) = angle.sin_cos();
                 let (mut re, mut im) = (cos, sin);
                 let orders = waves.iter_mut().enumerate().skip(1);
-                for (_, wave) in orders.take_while(|(order, _)| *order as f64 <= visible) {
+                for (_, wave) in orders.take_while(|(order, _)| *order as f64 <= highest_order) {
                     wave[0] += weight * re;
                     wave[1] += weight * im;
                     (re, im) = (re * cos - im * sin, re * sin + im * cos);
@@ -392,7 +391,7 @@ impl Search<'_> {
         };
         let waves: Vec<Vec<[f64; 2]>> = self.of().map(average).collect();
         let explained = |order: usize| {
-            // Normal equations of two columns, and the fourth power of what is seen of the wave.
+            // Normal equations of two columns, and the fourth powers for the effective number of windows.
             let (mut cc, mut cs, mut ss, mut ce, mut se) = (0.0, 0.0, 0.0, 0.0, 0.0);
             let mut fourth = 0.0;
             for (window, waves) in self.of().zip(&waves) {
@@ -402,9 +401,9 @@ impl Search<'_> {
                 (ce, se, fourth) = (ce + c * error, se + s * error, fourth + size * size);
             }
             let determinant = cc * ss - cs * cs;
-            // Seen in few windows only, as a high order is, it explains whatever happened there.
-            let is_seen = (cc + ss).powi(2) / fourth > SETTINGS.fewest_seen;
-            if determinant > 1e-6 * cc * ss && is_seen {
+            // A wave with a contribution in few windows only, as of a high order, would overfit them.
+            let is_supported = (cc + ss).powi(2) / fourth > SETTINGS.fewest_windows_of_wave;
+            if determinant > 1e-6 * cc * ss && is_supported {
                 (ce * ce * ss - 2.0 * ce * se * cs + se * se * cc) / determinant
             } else {
                 0.0
@@ -425,7 +424,7 @@ impl Search<'_> {
         fit.coefficients[self.own].hypot(fit.coefficients[self.own + 1])
     }
 
-    /// Angle of the shaft at every sample, beyond the ends of what is known as it went on there.
+    /// Angle of the shaft at every sample, extrapolated beyond the ends of the record.
     pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
         let points = self.windows.scenario.shaft_angle();
         if points.len() < 2 {
@@ -439,8 +438,7 @@ impl Search<'_> {
             let (before, after) = (points[next - 1], points[next]);
             before.1 + (after.1 - before.1) * (time_s - before.0) / (after.0 - before.0)
         };
-        let times = self.windows.scenario.sample_time_s.iter();
-        Some(times.map(at).collect())
+        Some(self.windows.scenario.sample_time_s.iter().map(at).collect())
     }
 
     fn line(&self) -> Option<Ranked> {
@@ -448,8 +446,8 @@ impl Search<'_> {
         let fit = self.fit(&self.rows(2, |window, row| {
             row.copy_from_slice(&line.wave(window.time_s));
         }))?;
-        let form = ErrorForm::Line { amplitude: self.amplitude(&fit) / line.seen };
-        // As sharp as the length of the run allows.
+        let form = ErrorForm::Line { amplitude: self.amplitude(&fit) / line.window_gain };
+        // The resolution by the length of the run.
         let times = &self.windows.scenario.sample_time_s;
         let half_hz = 0.5 / (times[times.len() - 1] - times[0]);
         let region = Region {
@@ -490,7 +488,7 @@ impl Search<'_> {
         Some(self.ranked("time_s", region, &fit, SETTINGS.weight_of_time, form))
     }
 
-    /// What is the same in every window.
+    /// A constant error.
     fn offset(&self) -> Option<Ranked> {
         let fit = self.fit(&self.rows(1, |_, row| row[0] = 1.0))?;
         let by = fit.coefficients[self.own];
@@ -526,7 +524,7 @@ impl Search<'_> {
         let (from, to) = if forward { (0.0, 1.0) } else { (-1.0, 0.0) };
         let region = Region { share_of_error: held, share_of_time: time, ..everywhere(from, to) };
         let fit = Fit { follows: held, strength: windows as f64, ..Fit::default() };
-        // Always after the variables that say more.
+        // Always after the other variables.
         Some(self.ranked("direction", region, &fit, 0.0, ErrorForm::OneWay { forward }))
     }
 }
@@ -568,7 +566,7 @@ const fn everywhere(from: f64, to: f64) -> Region {
     }
 }
 
-/// One window along a variable: what that explains of its error, and the square of it beyond the noise.
+/// One window along a variable: its explained error, and the square of its error beyond the noise.
 struct Point {
     at: f64,
     fitted: f64,
@@ -599,7 +597,7 @@ fn along(points: &[Point], of_size: bool) -> Option<Region> {
     if last < 3 * BINS || sorted[0].0 >= sorted[last].0 {
         return None;
     }
-    // Where the run spent much time the picture is sharp.
+    // Equal populations resolve where the run spent much time.
     let first_of = |bin: usize| bin * sorted.len() / BINS;
     let edge = |bin: usize| sorted[first_of(bin).min(last)].0;
     let sums = |value: fn(&Point) -> f64| -> Vec<f64> {
@@ -608,17 +606,14 @@ fn along(points: &[Point], of_size: bool) -> Option<Region> {
         (0..BINS).map(sum).collect()
     };
     let follows = sums(|point| point.fitted * point.fitted);
-    let beyond = sums(|point| point.beyond).into_iter();
-    let beyond: Vec<f64> = beyond.map(|sum| sum.max(0.0)).collect();
+    let beyond: Vec<f64> = sums(|point| point.beyond).into_iter().map(|sum| sum.max(0.0)).collect();
     let total: f64 = follows.iter().sum();
     let held = |(first, end): (usize, usize)| follows[first..=end].iter().sum::<f64>();
     let ranges = (0..BINS).flat_map(|first| (first..BINS).map(move |end| (first, end)));
     let enough = ranges.filter(|range| held(*range) >= SETTINGS.region_share * total);
     // Fewest windows; among equals the one that holds more.
-    let (first, end) = enough.min_by(|a, b| {
-        let lengths = (a.1 - a.0).cmp(&(b.1 - b.0));
-        lengths.then(held(*b).total_cmp(&held(*a)))
-    })?;
+    let (first, end) =
+        enough.min_by(|a, b| (a.1 - a.0).cmp(&(b.1 - b.0)).then(held(*b).total_cmp(&held(*a))))?;
     let whole: f64 = beyond.iter().sum();
     let share_of_error = beyond[first..=end].iter().sum::<f64>() / whole;
     Some(Region {
@@ -637,14 +632,14 @@ const REFINEMENT: i32 = 12;
 /// Windows below which no spectrum is taken.
 const FEWEST_WINDOWS: usize = 64;
 
-/// A line in the spectrum of what an equation lacks: a shaker, a belt, a gear that turns by itself.
+/// A line in the spectrum of an equation's error: a shaker, a belt, an independently driven gear.
 pub(super) struct Line {
     pub frequency_hz: f64,
-    /// Share of a wave's amplitude that is left when windows average it.
-    pub seen: f64,
-    /// Frequencies among which it is the strongest.
+    /// Gain of the windows' average at its frequency.
+    pub window_gain: f64,
+    /// Number of frequencies of which it is the strongest.
     pub tried: usize,
-    /// Whether no other line comes near it. An error that goes with the excitation has many, and none is its cause.
+    /// Whether no other line has a comparable power. An error that depends on a periodic excitation has many.
     pub is_alone: bool,
 }
 
@@ -683,7 +678,7 @@ impl Search<'_> {
         let next = apart.map(power).fold(0.0, f64::max);
         let mut line = Line {
             frequency_hz: 0.0,
-            seen: 1.0,
+            window_gain: 1.0,
             tried: size / 2 - lowest,
             is_alone: next <= SETTINGS.alone_share * power(peak),
         };
@@ -703,7 +698,7 @@ impl Search<'_> {
         let weights = self.windows.weights_of(first).mean;
         let in_phase = |time_s: f64| line.wave(time_s - first.time_s)[0];
         let averaged = weights.iter().zip(times).map(|(weight, time_s)| weight * in_phase(*time_s));
-        line.seen = averaged.sum::<f64>().abs().max(f64::MIN_POSITIVE);
+        line.window_gain = averaged.sum::<f64>().abs().max(f64::MIN_POSITIVE);
         Some(line)
     }
 }
@@ -747,7 +742,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_transform_of_a_wave_has_its_power_in_one_place() {
+    fn the_transform_of_a_wave_has_its_power_in_one_bin() {
         let n = 64;
         let wave = |k: usize| (TAU * 5.0 * k as f64 / n as f64).cos();
         let (mut real, mut imaginary): (Vec<f64>, _) = ((0..n).map(wave).collect(), vec![0.0; n]);

@@ -1,8 +1,8 @@
-//! Axis map: what each equation lacks as a curve over one variable, with its uncertainty, before it has a name.
+//! Axis map: each equation's error as a curve over one variable, with its uncertainty.
 //!
-//! The windows, the hat functions and the line are those of the location; what is added here are knots that gather where the
-//! curve bends, its covariance, clustered in blocks of time, and its share of an error of which the equation's own
-//! parameters may explain what they can. The current is no axis of the torque balance and the voltage none of the voltage
+//! The windows, the hat functions and the line are those of the location; added are knots that are refined where the
+//! curvature is large, a covariance clustered in blocks of time, and the curve's share of an error of which the equation's own
+//! parameters are fitted too. The current is no axis of the torque balance and the voltage none of the voltage
 //! balance: they are what the balance is solved for.
 
 use std::f64::consts::TAU;
@@ -40,14 +40,14 @@ struct Settings {
     rounds: usize,
     /// What each of them must add to the share that is explained.
     worth_refining_share: f64,
-    /// Share of an average knot's data below which a knot is left out: the run was never there, or did not move.
+    /// Share of an average knot's data below which a knot is left out, without data there.
     least_data_share: f64,
     /// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
-    /// averaged than where the winding's current is asked.
+    /// averaged than of the winding's current.
     fewest_half_of_torque: usize,
-    /// Standard deviations from which on a value counts as found.
+    /// Standard deviations from which on a value is significant.
     found_sigmas: f64,
-    /// Adjusted R2 below which an error is not said to follow an axis.
+    /// Adjusted R2 below which no dependence on an axis is reported.
     follows_share: f64,
 }
 
@@ -63,7 +63,7 @@ const SETTINGS: Settings = Settings {
     follows_share: 0.1,
 };
 
-/// How far the error of one equation follows one axis, and the curve.
+/// Error of one equation as a function of one axis.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AxisMap {
     /// `torque` or `voltage`.
@@ -75,11 +75,11 @@ pub struct AxisMap {
     pub r2: f64,
     /// Places on the axis; of a line its frequency.
     pub knots: Vec<f64>,
-    /// What the equation lacks there, V or N.m, a loss counted positive; of a line its amplitude.
+    /// Error of the equation there, V or N.m, a loss counted positive; of a line its amplitude.
     pub values: Vec<f64>,
     /// Standard deviation of each value, clustered in blocks of time.
     pub std: Vec<f64>,
-    /// What is left of the equation's error after its own parameters moved, over what measurement noise alone would leave;
+    /// Error of the equation after a fit of its own parameters, in units of the measurement noise;
     /// `None` where the noise is not known.
     pub error_over_noise: Option<f64>,
     #[serde(rename = "code")]
@@ -103,7 +103,7 @@ impl AxisMap {
         self.r2 >= SETTINGS.follows_share
     }
 
-    /// The knot with the largest value that stands out from its uncertainty.
+    /// The knot with the largest significant value.
     fn peak(&self) -> Option<usize> {
         let sure =
             |knot: &usize| self.values[*knot].abs() > SETTINGS.found_sigmas * self.std[*knot];
@@ -112,8 +112,8 @@ impl AxisMap {
             .max_by(|a, b| self.values[*a].abs().total_cmp(&self.values[*b].abs()))
     }
 
-    /// Where its largest value may lie, with that value: the knots around the peak that their uncertainty does not tell from
-    /// it.
+    /// Confidence range of the position of its largest value, with that value: the knots around the peak that do not differ
+    /// significantly from it.
     pub fn largest(&self) -> Option<(RangeInclusive<f64>, f64)> {
         let peak = self.peak()?;
         let height = self.values[peak];
@@ -144,7 +144,7 @@ pub fn axis_map(
         if windows.missing_signal().is_some() {
             break;
         }
-        // Without a fit of its own an equation would hold its error against values that another equation was fitted with.
+        // Without a fit of its own the error of an equation would be that of values from another equation.
         if let Some(changes) = windows.own_changes(*equation) {
             windows.take_out(*equation, &changes);
         }
@@ -172,7 +172,7 @@ fn axes(equation: Balance, input: Input) -> &'static [Axis] {
 }
 
 /// Knots over what the run reached: of time evenly, else half way between as many samples each and even spacing, so that a
-/// curve is still asked for where the run was seldom.
+/// the curve is resolved where the run has few samples, too.
 fn knots(axis: Axis, along: &[f64]) -> Vec<f64> {
     let mut sorted: Vec<f64> = along.iter().copied().filter(|v| v.is_finite()).collect();
     sorted.sort_by(f64::total_cmp);
@@ -220,7 +220,7 @@ fn harmonics(angle_rad: f64, weight: f64, row: &mut [f64]) {
     }
 }
 
-/// What columns explain of an error beside the equation's own.
+/// Regression of an error on columns beside the equation's own.
 struct Explained {
     /// Adjusted share of the variance that the own columns leave.
     r2: f64,
@@ -269,7 +269,7 @@ impl Search<'_> {
         })
     }
 
-    /// What is left of the error beside the own parameters, in units of the noise.
+    /// Error after the fit of the own parameters, in units of the noise.
     fn over_noise(&self, explained: &Explained) -> Option<f64> {
         let floors = self.of().map(|window| window.floor(self.equation).powi(2));
         let floor = (floors.sum::<f64>() / self.of().count() as f64).sqrt();
@@ -340,14 +340,14 @@ impl Search<'_> {
         self.axis_map(Axis::Angle, knots, &shape, &rows)
     }
 
-    /// Hat functions over an axis, refined where the curve bends.
+    /// Hat functions over an axis, refined where the curvature is large.
     fn hats(&self, axis: Axis, along: &[f64]) -> Option<AxisMap> {
         let rows = |knots: &[f64]| {
             let put = |value, weight, row: &mut [f64]| hat(knots, value, weight, row);
             self.averaged(along, knots.len(), put)
         };
         let fit = |knots: Vec<f64>| {
-            // The knots that the usable windows say something about.
+            // The knots with data of usable windows.
             let tried = rows(&knots);
             let data = |knot: usize| tried.iter().map(|row| row[self.own + knot].powi(2)).sum();
             let data: Vec<f64> = (0..knots.len()).map(data).collect();
@@ -360,7 +360,7 @@ impl Search<'_> {
             self.axis_map(axis, knots, &shape, &rows)
         };
         let mut best = fit(knots(axis, along))?;
-        // Where nothing is followed a finer curve would follow the noise.
+        // Without a dependence a finer curve would fit the noise.
         let refines = axis != Axis::Time && best.is_followed();
         for _ in 0..if refines { SETTINGS.rounds } else { 0 } {
             let Some(finer) = refined(&best.knots, &best.values).and_then(&fit) else {
@@ -382,10 +382,10 @@ impl Search<'_> {
         });
         let found = self.explain(&rows)?;
         let size = found.coefficients.norm();
-        let amplitude = size / line.seen;
+        let amplitude = size / line.window_gain;
         let along = &found.coefficients / size;
         let variance = (along.transpose() * &found.covariance * &along)[(0, 0)];
-        // The best of many frequencies explains something of any noise: as many columns more as that is worth.
+        // The best of many frequencies explains part of any noise: degrees of freedom for that choice.
         let chance = 2.0 * (line.tried as f64).ln().max(0.0);
         let r2 = 1.0 - (1.0 - found.r2) * found.spare / (found.spare - chance);
         Some(AxisMap {
@@ -394,7 +394,7 @@ impl Search<'_> {
             r2,
             knots: vec![line.frequency_hz],
             values: vec![amplitude],
-            std: vec![variance.max(0.0).sqrt() / line.seen],
+            std: vec![variance.max(0.0).sqrt() / line.window_gain],
             error_over_noise: self.over_noise(&found),
             finding: if r2 < SETTINGS.follows_share || !line.is_alone {
                 AxisFinding::NoLine

@@ -1,9 +1,9 @@
-//! The curve of an effect: what an equation lacks without it along its axis, with the effect drawn through the points.
+//! The curve of an effect: an equation's error without it along its axis, with the effect drawn through the points.
 //!
 //! ```text
-//! model with the effect ----> windows: what the equation lacks with it  ----------------> points that lie on zero
-//! the same values without --> windows: what it lacks without it  -----------------------> points
-//!                                the difference of both: what the effect does -----------> line
+//! model with the effect ----> windows: error of the equation with it  ------------------> points that lie on zero
+//! the same values without --> windows: its error without it  ---------------------------> points
+//!                                the difference of both: contribution of the effect -----> line
 //! ```
 //!
 //! The points are measured, the line is computed, and both pass through the same windows: where the form is wrong the line
@@ -31,20 +31,20 @@ const FEWEST_WINDOWS: usize = 12;
 /// Neighbouring windows share half of their samples.
 const WINDOWS_EACH: f64 = 2.0;
 /// Share of a period of the angle that a window may turn through; and share of the range that its speed, current or voltage
-/// may wander (a standard deviation), so that a mean is that of one place.
+/// may vary (a standard deviation), so that a mean is that of one position.
 const STILLEST_SHARE: f64 = 0.35;
 const STEADY_SHARE: f64 = 0.015;
-/// Windows from which on only such are asked.
+/// Number of such windows from which on only they are used.
 const STILL_WINDOWS: usize = 60;
-/// Time explains nothing by itself: it is drawn along where no physical variable comes near.
+/// Time is no physical cause: an axis only where no physical variable explains nearly as much.
 const WEIGHT_OF_TIME: f64 = 0.85;
 
 /// What lies in one bin of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurvePoint {
-    /// Mean place on the axis.
+    /// Mean position on the axis.
     pub at: f64,
-    /// Mean of what the equation lacks there, V or N.m, a loss counted positive.
+    /// Mean error of the equation there, V or N.m, a loss counted positive.
     pub mean: f64,
     /// Standard deviation of the mean.
     pub std: f64,
@@ -76,16 +76,16 @@ pub struct EffectCurve {
     /// Of an angle: the equal parts of a turn that are drawn as one.
     pub periods_per_turn: f64,
     pub why_axis: Option<AxisReason>,
-    /// What the equation lacks without the effect.
+    /// Error of the equation without the effect.
     pub points: Vec<CurvePoint>,
-    /// What the effect does along the axis, at its size; empty where there is only the error.
+    /// Contribution of the effect along the axis, at its size; empty where there is only the error.
     pub line: Vec<(f64, f64)>,
-    /// What the equation lacks with the effect in the model: on zero where that is all; empty where there is only the
+    /// Error of the equation with the effect in the model: zero where the model is complete; empty where there is only the
     /// error.
     pub with_it: Vec<CurvePoint>,
     /// Root mean square of the points that noise alone would leave in a window; null where no noise is known.
     pub noise: Option<f64>,
-    /// The same of what the equation lacks without and with the effect.
+    /// The same of the equation's error without and with the effect.
     pub rms_without: f64,
     pub rms_with: Option<f64>,
 }
@@ -124,8 +124,8 @@ impl From<&AxisMap> for EffectCurve {
     }
 }
 
-/// The effect `id` of a complete `model` beside what `run` lacks without it. `None` where it is not in the model, or where
-/// the run cannot tell.
+/// The effect `id` of a complete `model` and the error without it on `run`. `None` where it is not in the model, or where
+/// the run does not determine it.
 pub fn effect_curve(
     model: &Model,
     id: &str,
@@ -152,7 +152,7 @@ pub fn effect_curve(
     Ok(pairs.curve(Some(active)))
 }
 
-/// What `run` lacks under a complete `model`, along the axis that it follows most. `None` where the run cannot tell.
+/// Error of a complete `model` on `run`, along the axis with the largest share. `None` where the run does not determine it.
 pub fn error_curve(
     model: &Model,
     run: &Scenario,
@@ -217,7 +217,7 @@ struct At {
 }
 
 impl Pairs<'_> {
-    /// Windows whose error is known in both, with their place.
+    /// Windows whose error is known in both, with their position.
     fn along(
         &self,
         equation: Balance,
@@ -239,22 +239,22 @@ impl Pairs<'_> {
         })
     }
 
-    /// What is to be followed: of an effect what it does, else the error.
+    /// What is drawn: the contribution of an effect, else the error.
     fn followed(&self, at: &At) -> f64 {
         at.without - if self.with_it.is_some() { at.with } else { 0.0 }
     }
 
     fn curve(&self, active: Option<&ActiveEffect>) -> Option<EffectCurve> {
         let scenario = self.without_it.scenario;
-        let askable = super::equations(scenario.input);
+        let equations = super::equations(scenario.input);
         let own = active.and_then(|active| own_curve(active.effect));
-        let own = own.filter(|(equation, _)| askable.contains(equation));
+        let own = own.filter(|(equation, _)| equations.contains(equation));
         let own = own.and_then(|(equation, axis)| {
             let places = self.places(equation, Along::Axis(axis), active)?;
             Some((equation, Along::Axis(axis), places, None))
         });
         let (equation, along, places, share_followed) = own.or_else(|| {
-            let equation = self.equation(askable)?;
+            let equation = self.equation(equations)?;
             let tried = candidates(equation, scenario.input, active).into_iter();
             let tried = tried.filter_map(|along| {
                 let places = self.places(equation, along, active)?;
@@ -297,8 +297,8 @@ impl Pairs<'_> {
         })
     }
 
-    /// The equation in which there is more to be seen, in units of its noise.
-    fn equation(&self, askable: &[Balance]) -> Option<Balance> {
+    /// The equation with the larger error, in units of its noise.
+    fn equation(&self, equations: &[Balance]) -> Option<Balance> {
         let size = |equation: &Balance| {
             let (mut power, mut unit) = (0.0, 0.0);
             for at in self.along(*equation, |_, _| 0.0) {
@@ -307,12 +307,11 @@ impl Pairs<'_> {
             }
             power / f64::max(unit, f64::MIN_POSITIVE)
         };
-        let sizes = askable.iter().map(|equation| (size(equation), *equation));
-        let largest = sizes.max_by(|a, b| a.0.total_cmp(&b.0))?;
-        Some(largest.1)
+        let sizes = equations.iter().map(|equation| (size(equation), *equation));
+        Some(sizes.max_by(|a, b| a.0.total_cmp(&b.0))?.1)
     }
 
-    /// Place of every window on an axis, in the order of the windows; `None` where the run does not have it.
+    /// Position of every window on an axis, in the order of the windows; `None` where the run does not have it.
     fn places(
         &self,
         equation: Balance,
@@ -356,8 +355,8 @@ impl Pairs<'_> {
         })
     }
 
-    /// Without the windows in which the axis wanders, where enough are left: what a curve is on the average of a transient
-    /// is not its value at the average.
+    /// Without the windows in which the axis varies, where enough are left: the mean of a curve over a transient
+    /// is not its value at the mean.
     fn steady(&self, places: Vec<f64>, samples: &[f64]) -> Vec<f64> {
         let windows = self.without_it;
         let known = places.iter().filter(|place| place.is_finite());
@@ -373,7 +372,7 @@ impl Pairs<'_> {
         where_enough(places, is_steady)
     }
 
-    /// Adjusted share of what is to be followed that means over bins of an axis give.
+    /// Adjusted R2 of the means over bins of an axis.
     fn follows(&self, equation: Balance, places: &[f64]) -> Option<f64> {
         let all: Vec<At> = self.along(equation, |index, _| places[index]).collect();
         let n = all.len() as f64;
@@ -396,16 +395,15 @@ impl Pairs<'_> {
     }
 }
 
-/// Only the `eligible` places, where they are enough; all of them else.
+/// Only the `eligible` positions, where they are enough; all of them else.
 fn where_enough(places: Vec<f64>, eligible: Vec<bool>) -> Vec<f64> {
     if eligible.iter().filter(|is| **is).count() < STILL_WINDOWS {
         return places;
     }
-    let kept = places.into_iter().zip(eligible);
-    kept.map(|(place, is)| if is { place } else { f64::NAN }).collect()
+    places.into_iter().zip(eligible).map(|(place, is)| if is { place } else { f64::NAN }).collect()
 }
 
-/// Equation and axis of an effect that is a curve: by its card, and of a turn whatever needs the angle.
+/// Equation and axis of an effect that is a curve: by its card, and the angle for an effect that needs it.
 fn own_curve(effect: &dyn Effect) -> Option<(Balance, Axis)> {
     let card = effect.card();
     let of_a_turn = (card.needs_angle && card.enters.includes(Balance::Torque))
@@ -416,15 +414,14 @@ fn own_curve(effect: &dyn Effect) -> Option<(Balance, Axis)> {
 /// How often an effect of the angle repeats within a turn.
 fn periods_per_turn(active: Option<&ActiveEffect>) -> f64 {
     let order = active.and_then(|active| {
-        let specs = active.effect.parameters().iter();
-        let place = specs.clone().position(|spec| spec.key == "order")?;
+        let place = active.effect.parameters().iter().position(|spec| spec.key == "order")?;
         active.values_or_guess().get(place).copied()
     });
     order.filter(|order| *order >= 1.0).unwrap_or(1.0).round()
 }
 
-/// Axes that are tried. What a balance is solved for is none where only the error is known: whatever is missing shows in
-/// it.
+/// Axes that are tried. The variable that a balance is solved for is none where only the error is known: every missing effect
+/// correlates with it.
 fn candidates(equation: Balance, input: Input, active: Option<&ActiveEffect>) -> Vec<Along> {
     let mut tried = vec![Along::Axis(Axis::Speed), Along::Axis(Axis::Time)];
     let is_electrical = input == Input::Voltage;
@@ -446,8 +443,8 @@ fn candidates(equation: Balance, input: Input, active: Option<&ActiveEffect>) ->
     tried
 }
 
-/// Edges of bins: halfway between as many windows each and even spacing, and one at zero where both signs occur, as much
-/// changes with the direction. The last edge is the end.
+/// Edges of bins: halfway between equal populations and even spacing, and one at zero where both signs occur, as many effects
+/// depend on the direction. The last edge is the end.
 fn edges(all: &[At], bins: usize) -> Vec<f64> {
     let mut sorted: Vec<f64> = all.iter().map(|at| at.place).collect();
     sorted.sort_by(f64::total_cmp);
@@ -479,8 +476,7 @@ fn in_bins<'a>(all: &'a [At], edges: &[f64]) -> Vec<Vec<&'a At>> {
 }
 
 fn points(all: &[At], edges: &[f64], of: fn(&At) -> f64) -> Vec<CurvePoint> {
-    let bins = in_bins(all, edges).into_iter();
-    let bins = bins.filter(|inside| inside.len() >= FEWEST_IN_A_BIN);
+    let bins = in_bins(all, edges).into_iter().filter(|inside| inside.len() >= FEWEST_IN_A_BIN);
     let point = |inside: Vec<&At>| {
         let n = inside.len() as f64;
         let mean = |value: &dyn Fn(&At) -> f64| inside.iter().map(|at| value(at)).sum::<f64>() / n;
@@ -509,7 +505,7 @@ fn line(all: &[At], edges: &[f64]) -> Vec<(f64, f64)> {
     bins.map(middle).collect()
 }
 
-/// `model` with the effect `id` at this size beside whatever it holds; when something happened is found in every run anew.
+/// `model` with the effect `id` at this size; the time of an event is estimated in every run anew.
 /// `None` where a value is not known.
 pub(crate) fn with_candidate(
     model: &Model,
@@ -535,19 +531,10 @@ pub(crate) fn with_candidate(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kit::{nameplate, truth as with};
     use drivebench_model::plant::testing::{self, with_a_fan};
-    use drivebench_model::plant::{Motor, effect};
 
     const FAN: f64 = 4e-6;
-
-    fn model(effects: &[(&str, &[f64])]) -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        for (id, values) in effects {
-            let found = effect::find(id).unwrap();
-            model.effects.push(ActiveEffect::with(found, values));
-        }
-        model
-    }
 
     fn drawn(model: &Model, id: &str, run: &Scenario) -> EffectCurve {
         let noise = NoiseFloor::from_standstill(run).unwrap();
@@ -555,9 +542,9 @@ mod tests {
     }
 
     #[test]
-    fn a_fan_comes_back_as_its_parabola() {
+    fn the_curve_of_a_fan_is_its_parabola() {
         let run = with_a_fan(0);
-        let curve = drawn(&model(&[("quadratic_load", &[FAN])]), "quadratic_load", &run);
+        let curve = drawn(&with("quadratic_load", &[FAN]), "quadratic_load", &run);
         assert_eq!((curve.equation, curve.axis), ("torque", "speed_rad_s"));
         assert_eq!(curve.why_axis, None);
         let law = |speed: f64| FAN * speed * speed.abs();
@@ -583,8 +570,7 @@ mod tests {
     fn a_line_of_the_wrong_form_misses_the_points() {
         let run = with_a_fan(0);
         // As much loss at 150 rad/s, linear.
-        let curve =
-            drawn(&model(&[("viscous_friction", &[150.0 * FAN])]), "viscous_friction", &run);
+        let curve = drawn(&with("viscous_friction", &[150.0 * FAN]), "viscous_friction", &run);
         let off = |point: &CurvePoint| point.mean.abs() > 5.0 * point.std;
         let missed = curve.with_it.iter().filter(|point| off(point)).count();
         assert!(missed >= 3, "{missed}: {:?}", curve.with_it);
@@ -592,7 +578,7 @@ mod tests {
 
     #[test]
     fn a_late_command_is_a_line_over_the_rate_of_the_voltage() {
-        let truth = model(&[("command_delay", &[0.004])]);
+        let truth = with("command_delay", &[0.004]);
         let steps = (0..40).map(|k| {
             let level = [40.0, 55.0, 20.0, 60.0, 35.0][k % 5];
             (0.3 + 0.11 * k as f64, level)
@@ -609,14 +595,13 @@ mod tests {
 
     #[test]
     fn an_effect_of_the_angle_is_folded_into_its_period() {
-        let truth = model(&[("cogging", &[0.05, 0.0, 6.0])]);
+        let truth = with("cogging", &[0.05, 0.0, 6.0]);
         let events = testing::held([0.0, 0.4, 2.5, 4.5], [0.0, 9.0, -9.0, 12.0]);
         let run = testing::record(&truth, events, 0.002, 6.5, 5);
         let curve = drawn(&truth, "cogging", &run);
         assert_eq!(curve.axis, "angle_rad", "{curve:?}");
         assert!((curve.periods_per_turn - 6.0).abs() < 1e-12, "{curve:?}");
-        let places = curve.points.iter().map(|point| point.at);
-        assert!(places.fold(0.0, f64::max) < TAU / 6.0);
+        assert!(curve.points.iter().map(|point| point.at).fold(0.0, f64::max) < TAU / 6.0);
         let highest = curve.line.iter().map(|at| at.1).fold(0.0, f64::max);
         assert!(highest > 0.02 && highest < 0.055, "{highest}");
     }
@@ -625,10 +610,10 @@ mod tests {
     fn without_a_candidate_there_is_the_error_along_the_axis_that_it_follows() {
         let run = with_a_fan(0);
         let noise = NoiseFloor::from_standstill(&run).unwrap();
-        let curve = error_curve(&model(&[]), &run, &noise).unwrap().unwrap();
+        let curve = error_curve(&nameplate(), &run, &noise).unwrap().unwrap();
         assert_eq!((curve.equation, curve.axis), ("torque", "speed_rad_s"));
         assert!(curve.line.is_empty() && curve.with_it.is_empty() && curve.effect.is_none());
         assert!(curve.points.len() > 12 && curve.why_axis.is_some());
-        assert_eq!(effect_curve(&model(&[]), "cogging", &run, &noise).unwrap(), None);
+        assert_eq!(effect_curve(&nameplate(), "cogging", &run, &noise).unwrap(), None);
     }
 }

@@ -1,26 +1,26 @@
-//! Location of the error, with sign: which equation, over which speeds, currents, angles, times, and as what curve.
+//! Location of the error, with sign: which equation, over which speeds, currents, angles, times, and its error as a curve.
 //!
 //! ```text
-//! model, run -> windows   what each equation lacks in overlapping windows, with the floor that noise alone gives, and what
-//!                  |      a change of the motor's own values would explain of it (told, or taken out)
+//! model, run -> windows   error of each equation in overlapping windows, with its deviation by noise, and the part that
+//!                  |      a change of the motor's own values explains (reported, or removed)
 //!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
 //!                  |           the narrowest range that holds most of it
 //!                  |-> curve   the error as a curve over a variable, with its uncertainty
 //!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
 //!                  |-> torque_map  friction over speed, cogging over a turn, for other programs
-//!                  |-> leaning which effect the residual follows so far, to first order, while a run goes on
+//!                  |-> provisional_ranking  effects by the share of the residual that each explains to first order, during a run
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
 //! One mechanism at every sampling period: the model is started afresh from the measurement at the
 //! begin of each window, and the weak form is taken of the *difference* between measurement and model. What a coarse
-//! quadrature makes of a current with corners is the same in both and cancels; the noise of the start obeys the model's
+//! quadrature makes of a current with corners is the same in both and cancels; the noise of the initial state obeys the model's
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
 mod axis;
 mod curve;
 mod effect_curve;
-mod leaning;
+mod provisional_ranking;
 mod torque_map;
 mod windows;
 
@@ -29,7 +29,7 @@ use serde::Serialize;
 pub use self::curve::{AxisFinding, AxisMap, axis_map};
 pub(super) use self::effect_curve::with_candidate;
 pub use self::effect_curve::{AxisReason, CurvePoint, EffectCurve, effect_curve, error_curve};
-pub use self::leaning::{Leaning, lean};
+pub use self::provisional_ranking::{RankedEffect, provisional_ranking};
 pub use self::torque_map::{MapError, MeasuredMap, torque_map};
 
 use self::windows::{FEWEST_HALF, Window, Windows, own_keys};
@@ -71,17 +71,17 @@ findings! {
         Between { either_way: bool, begin_s: f64 } = "lies_between",
         /// Over nearly all that the run reached.
         Throughout = "follows_throughout",
-        /// As if the motor's value `own` were too low by `by`.
+        /// Equivalent to a motor's value `own` that is too low by `by`.
         ModelValue { key: MotorKey, by: f64, own: f64 } = "model_value_is_off",
-        /// Short windows have `own + by` where the fit to the whole run has `own`.
+        /// Short windows give `own + by` where the fit to the whole run gives `own`.
         WindowValue { key: MotorKey, by: f64, own: f64 } = "windows_contradict_the_fit",
         /// The model has no value.
         ValueBeside { key: MotorKey, by: f64 } = "value_beside_the_model",
-        /// As if the steps of the voltage came later; whether the samples show by how much.
+        /// Equivalent to a delay of the voltage; whether the sampling resolves it.
         VoltageTiming { delay_s: f64, is_resolved: bool } = "voltage_timing",
         PerTurn { order: usize, amplitude: f64 } = "repeats_per_turn",
         Line { amplitude: f64 } = "line_in_frequency",
-        /// As a resistance that moves by so much from begin to end.
+        /// Equivalent to a resistance that changes by so much from begin to end.
         ResistanceDrift { by_ohm: f64 } = "resistance_drifts",
         Offset { by: f64 } = "same_everywhere",
         OneWay { forward: bool } = "one_direction_of_motion",
@@ -94,7 +94,7 @@ findings! {
     pub enum EquationState {
         #[default]
         Holds = "equation_holds",
-        /// Its error follows nothing, and no noise is known to compare it with.
+        /// Its error depends on no variable, and no noise is known to compare it with.
         Unknown = "equation_not_judged",
         Follows = "equation_fails",
         FollowsNothing = "equation_fails_along_nothing",
@@ -102,7 +102,7 @@ findings! {
 }
 
 findings! {
-    /// Two places of which neither is known to be the one.
+    /// Two locations that are not significantly different.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Undecided {
         Equations { equations: [&'static str; 2] } = "equations_fail_alike",
@@ -110,18 +110,18 @@ findings! {
     }
 }
 
-/// What one equation lacks altogether.
+/// Error of one equation over the run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct EquationBalance {
     pub equation: &'static str,
     pub unit: &'static str,
-    /// Error of the balance over what noise alone gives: one when the equation is right; null where no noise is known.
+    /// Error of the balance in units of its noise: one when the equation is right; null where no noise is known.
     pub nres: Option<f64>,
-    /// The same after the equation's own parameters were allowed to move: what no value of them explains.
+    /// The same after a fit of the equation's own parameters.
     pub nres_refitted: Option<f64>,
-    /// Which moves of the own parameters, relative to the model's values, would explain most of the error.
+    /// Changes of the own parameters, relative to the model's values, that explain most of the error.
     pub own_changes: Vec<OwnChange>,
-    /// Root mean square of what the equation lacks.
+    /// Root mean square of the equation's error.
     pub rms: f64,
     /// The same over the root mean square of the equation's drive (voltage, or torque of the current).
     pub relative: f64,
@@ -131,53 +131,53 @@ pub struct EquationBalance {
     pub forward_share_of_error: Option<f64>,
     pub forward_share_of_time: Option<f64>,
     pub windows: usize,
-    /// Whether what is located is the error after the own parameters moved, because only the structure was asked for, or
-    /// because the moves are small.
+    /// Whether the located error is that after a fit of the own parameters, because only the structure is judged, or
+    /// because their changes are small.
     pub refitted: bool,
-    /// Whether the located error is more than the noise, and more than the arithmetic.
+    /// Whether the located error is more than the noise, and more than rounding.
     pub fails: bool,
     #[serde(rename = "code")]
     pub state: EquationState,
 }
 
-/// How far one of the motor's values is from what this equation asks for.
+/// Change of one of the motor's values that this equation estimates.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct OwnChange {
     pub key: &'static str,
     /// Positive where the model's value is too low.
     pub by: f64,
-    /// Of the model's value.
+    /// Relative to the model's value.
     pub share: f64,
 }
 
-/// Everything that is known of the places where a model fails.
+/// The locations of a model's error.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Located {
-    /// The worse equation first; in it the variable that it follows most. Empty where nothing fails.
+    /// The equation with the larger error first; in it the variable with the largest share. Empty where none fails.
     pub locations: Vec<FailureLocation>,
-    /// The worse first.
+    /// The larger error first.
     pub balances: Vec<EquationBalance>,
     pub map: Option<ErrorMap>,
-    /// What could not be judged, and why.
+    /// Limits of the location.
     pub notes: Vec<Limit>,
 }
 
 /// Which error is located.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ErrorOf {
-    /// The model with its values as they are: a wrong resistance shows as an error that follows the current.
+    /// The model with its values unchanged: a wrong resistance is an error proportional to the current.
     Model,
-    /// What the baseline's own parameters cannot explain, each balance for itself: where something is missing. A fit of
-    /// the whole model spreads a missing torque over both balances; this takes that back.
+    /// The error that the baseline's own parameters cannot explain, each balance for itself: missing structure. A fit of
+    /// the whole model spreads a missing torque over both balances; this reverses it.
     Structure,
 }
 
-/// Windows below which nothing is said.
+/// Fewest windows of a balance.
 const FEWEST_WINDOWS: usize = 40;
-/// A move of an own parameter from this share of its value on is a wrong value, not the trace of a fit.
+/// A change of an own parameter from this share of its value on is a wrong value, not a bias of the fit.
 const MATERIAL_SHARE: f64 = 0.03;
-/// A move of a resistance, a back-EMF constant or an inertia from this share on is another machine than the one that was
-/// fitted, which changed: without it what is left lies where it did not change.
+/// A change of a resistance, a back-EMF constant or an inertia from this share on is another machine than the fitted
+/// one: removed, the rest of the error would be located where the machine did not change.
 const ANOTHER_SHARE: f64 = 0.5;
 
 /// The equations that a run has: without a voltage there is no balance of it.
@@ -219,7 +219,7 @@ pub fn locate(
         } else {
             Vec::new()
         };
-        // Without a known noise, what follows nothing may be the noise.
+        // Without a known noise, an error that depends on no variable may be noise.
         balance.fails &= balance.nres.is_some() || !axes.is_empty();
         balance.state = match (balance.fails, balance.nres.is_some(), axes.is_empty()) {
             (false, false, _) => EquationState::Unknown,
@@ -238,8 +238,8 @@ pub fn locate(
     Ok(found)
 }
 
-/// What the equations lack in the first of two runs of one excitation and not in the second, each with its own values of
-/// the motor: what it follows, the worse equation first. Empty where that is no more than the noise of both.
+/// Error of the equations in the first of two runs of one excitation less that in the second, each with its own values of
+/// the motor: its locations, the larger error first. Empty where it is no more than the noise of both.
 pub(super) fn locate_difference(
     model: &Model,
     [first, second]: [&Scenario; 2],
@@ -272,9 +272,9 @@ pub(super) fn locate_difference(
     Ok(found.locations)
 }
 
-/// Lets the equation's own parameters move. The moves stay taken out of the windows where that is asked, and where they
-/// are small: a fit of the whole model that lacks something leaves values that are a little off, and a balance sees
-/// them well. Large ones are a fault of their own.
+/// Fits the equation's own parameters. Their changes are removed from the windows where only the structure is judged, and
+/// where they are small: the fit of a model that lacks an effect has biased values, to which a balance is
+/// sensitive. Large ones are reported as wrong values.
 fn refit(
     windows: &mut Windows<'_>,
     equation: Balance,
@@ -286,8 +286,7 @@ fn refit(
     let Some(changes) = windows.own_changes(equation) else {
         return;
     };
-    let own = own_keys(equation).iter().zip(&changes);
-    let changed = own.map(|(key, by)| OwnChange {
+    let changed = own_keys(equation).iter().zip(&changes).map(|(key, by)| OwnChange {
         key: key.key(),
         by: *by,
         share: by / model.motor.get(*key).unwrap_or(f64::NAN),
@@ -315,13 +314,13 @@ fn refit(
     }
 }
 
-/// Error of a balance in units of its noise, of what is located.
+/// Located error of a balance in units of its noise.
 const fn nres(balance: &EquationBalance) -> Option<f64> {
     if balance.refitted { balance.nres_refitted } else { balance.nres }
 }
 
-/// By what two failing balances are compared. An error that follows something says more than a larger one that follows
-/// nothing.
+/// Criterion by which two failing balances are ordered. An error that depends on a variable counts more than a larger one that
+/// depends on none.
 fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
     let follows = locations
         .iter()
@@ -330,11 +329,11 @@ fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
     nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
 }
 
-/// Standard deviations within which two figures are alike.
+/// Standard deviations within which two values are not significantly different.
 const ALIKE_SIGMAS: f64 = 2.0;
 
-/// Where two equations fail alike, or the error of the worse one follows two variables alike, so that another run or a
-/// model that is nearly the same would put the other first: that neither is known to be the one.
+/// Whether two equations fail, or two variables explain the error of the worse one, without a significant difference, so that
+/// another run or a slightly different model could put the other first.
 pub(super) fn undecided(
     balances: &[EquationBalance],
     locations: &[FailureLocation],
@@ -367,7 +366,7 @@ pub(super) fn undecided(
     })
 }
 
-/// The equation that fails worse first: by its error in units of the noise, else beside its drive.
+/// The equation with the larger error first: in units of the noise, else relative to its drive.
 fn rank(found: &mut Located) {
     let locations = &found.locations;
     found.balances.sort_by(|a, b| {
@@ -377,7 +376,7 @@ fn rank(found: &mut Located) {
     let order: Vec<&str> = found.balances.iter().map(|b| b.equation).collect();
     let place =
         |location: &FailureLocation| order.iter().position(|name| *name == location.equation);
-    // Stable: within an equation the order of the axes stays.
+    // A stable sort: within an equation the order of the axes stays.
     found.locations.sort_by_key(place);
     if found.balances.len() == 2 && found.balances.iter().all(|b| nres(b).is_some()) {
         let beyond =
@@ -394,8 +393,8 @@ fn rank(found: &mut Located) {
 /// Cells along each axis.
 const CELLS: usize = 12;
 
-/// Root mean square of what each equation lacks in the cells of speed x current. Rows go with the speed, columns with
-/// the current, both from their lowest edge; null where the run never was.
+/// Root mean square of each equation's error in the cells of speed x current. Rows are speeds, columns are
+/// currents, both from their lowest edge; null in cells that the run did not visit.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ErrorMap {
     pub speed_edges_rad_s: Vec<f64>,
@@ -409,12 +408,12 @@ pub struct ErrorMap {
     pub voltage_mean_v: Vec<Vec<Option<f64>>>,
 }
 
-/// Which way a model is off in a cell of the map.
+/// Sign of a model's error in a cell of the map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Off {
     TooLow,
     TooHigh,
-    /// Now the one, now the other.
+    /// Of either sign.
     BothWays,
 }
 
@@ -426,7 +425,7 @@ pub struct MapCell {
 }
 
 impl MapCell {
-    /// Digits where the model is too low, letters where it is too high, shades where it is both: read without colour.
+    /// Digits where the model is too low, letters where it is too high, shades where it is both; readable without colour.
     pub fn glyph(self) -> char {
         let of = |glyphs: &str| glyphs.chars().nth(self.digit).unwrap_or('?');
         match self.off {
@@ -440,21 +439,21 @@ impl MapCell {
 /// The map of one equation, readable without colour.
 pub struct MapDigits {
     pub largest: f64,
-    /// The highest speed first: the middle of the row in rad/s, and its cells, none where the run never was or where there
+    /// The highest speed first: the middle of the row in rad/s, and its cells, none where the run did not visit them or there
     /// is no error at all.
     pub rows: Vec<(f64, Vec<Option<MapCell>>)>,
 }
 
 /// Digit of the largest error.
 const LARGEST_DIGIT: f64 = 9.0;
-/// Share of the root mean square that a mean must have for its sign to be told.
+/// Share of the root mean square that a mean must have for its sign to be significant.
 const SIGNED_SHARE: f64 = 0.5;
 
 /// Sums of squares and of errors in a cell, and their number.
 type Sums = (f64, f64, usize);
 
 impl ErrorMap {
-    /// What one equation lacks, cell by cell.
+    /// Error of one equation, cell by cell.
     pub fn cells(&self, equation: &str) -> &[Vec<Option<f64>>] {
         match equation {
             "torque" => &self.torque_rms_n_m,
@@ -483,8 +482,7 @@ impl ErrorMap {
             let digit = whole((LARGEST_DIGIT * rms / largest).round());
             Some(MapCell { digit, off })
         };
-        let middles = self.speed_edges_rad_s.windows(2);
-        let middles = middles.map(|edges| 0.5 * (edges[0] + edges[1]));
+        let middles = self.speed_edges_rad_s.windows(2).map(|edges| 0.5 * (edges[0] + edges[1]));
         let rows = middles.zip(cells.iter().zip(means));
         let mut rows: Vec<_> = rows
             .map(|(middle, (row, means))| (middle, row.iter().zip(means).map(cell).collect()))
@@ -528,10 +526,8 @@ impl ErrorMap {
         let of = |value: fn(&Sums) -> f64| {
             let cell = |sums: &Sums| (sums.2 > 0).then(|| value(sums));
             let [torque, voltage] = &sums;
-            [torque, voltage].map(|cells| {
-                let rows = cells.iter();
-                rows.map(|row| row.iter().map(cell).collect()).collect()
-            })
+            [torque, voltage]
+                .map(|cells| cells.iter().map(|row| row.iter().map(cell).collect()).collect())
         };
         let [torque_rms_n_m, voltage_rms_v] = of(|(power, _, n)| (power / *n as f64).sqrt());
         let [torque_mean_n_m, voltage_mean_v] = of(|(_, sum, n)| sum / *n as f64);

@@ -1,4 +1,4 @@
-//! Runs whose fault is known, at 1 and at 10 ms: the first place must be where it is.
+//! Runs with a known fault, at 1 and at 10 ms: the first location must be that of the fault.
 
 use std::f64::consts::TAU;
 
@@ -12,7 +12,7 @@ fn record(truth: &Model, period_s: f64, seed: u64) -> Scenario {
     let levels = [30.0, 80.0, 45.0, 6.0, -6.0, -45.0, -90.0, -20.0, 5.0, 60.0, 100.0, -70.0];
     let event = |step: u64| {
         let level = levels[((step / 12 + 5 * seed) % 12) as usize];
-        // A small generator of signs; no two runs dither alike.
+        // A small generator of signs; each run has another dither.
         let is_below = (step * step * 7 + step * 3 + seed * 11) % 5 < 2;
         (0.4 + 0.04 * step as f64, level + if is_below { -5.0 } else { 5.0 })
     };
@@ -40,7 +40,7 @@ fn first<'a>(found: &'a Located, place: (&str, &str), case: &str) -> &'a Failure
 }
 
 #[test]
-fn a_right_model_has_balances_at_the_noise_and_no_place() {
+fn a_right_model_has_balances_at_the_noise_and_no_location() {
     for period_s in [0.001, 0.01] {
         let found = located(&nameplate(), period_s, ErrorOf::Model);
         assert_eq!(found.locations, vec![], "{period_s} s");
@@ -54,7 +54,7 @@ fn a_right_model_has_balances_at_the_noise_and_no_place() {
 }
 
 #[test]
-fn the_first_place_names_equation_and_axis() {
+fn the_first_location_has_equation_and_axis() {
     let cases: [(&str, &[f64], f64, &str, &str); 7] = [
         ("stribeck_friction", &[0.2, 10.0], 0.001, "torque", "speed_rad_s"),
         ("quadratic_load", &[3e-6], 0.001, "torque", "speed_rad_s"),
@@ -75,7 +75,7 @@ fn the_first_place_names_equation_and_axis() {
 }
 
 #[test]
-fn friction_that_grows_towards_zero_speed_lies_in_a_narrow_range() {
+fn stribeck_friction_is_located_at_low_speed() {
     let peak = truth("stribeck_friction", &[0.2, 10.0]);
     let found = located(&peak, 0.001, ErrorOf::Structure);
     let first = &found.locations[0];
@@ -84,7 +84,7 @@ fn friction_that_grows_towards_zero_speed_lies_in_a_narrow_range() {
 }
 
 #[test]
-fn a_wrong_value_of_the_motor_is_told_as_one() {
+fn a_wrong_value_of_the_motor_is_reported_as_one() {
     let run = record(&nameplate(), 0.001, 3);
     for (key, factor, equation, variable) in [
         (MotorKey::Resistance, 0.8, "voltage", "current_a"),
@@ -103,7 +103,7 @@ fn a_wrong_value_of_the_motor_is_told_as_one() {
         let change = changes.find(|change| change.key == key.key()).unwrap();
         let off = change.by / ((1.0 - factor) * value) - 1.0;
         assert!(off.abs() < 0.05, "{change:?}");
-        // As a question for the structure it is no fault at all.
+        // It is no error of the structure.
         let structure = locate(&wrong, &run, &floor(&run), ErrorOf::Structure).unwrap();
         assert_eq!(structure.locations, vec![], "{key:?}");
     }
@@ -112,8 +112,7 @@ fn a_wrong_value_of_the_motor_is_told_as_one() {
 #[test]
 fn an_exact_model_of_a_run_without_noise_fails_nowhere() {
     let mut run = record(&nameplate(), 0.001, 4);
-    let mut plant = Plant::new(&nameplate(), Input::Voltage).unwrap();
-    let exact = plant.simulate(&run, State::default());
+    let exact = Plant::new(&nameplate(), Input::Voltage).unwrap().simulate(&run, State::default());
     (run.current_a, run.speed_rad_s) = (exact.current_a, exact.speed_rad_s);
     let noise = NoiseFloor::from_spread(&run);
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Model).unwrap();
@@ -139,8 +138,7 @@ fn a_missing_signal_and_a_short_run_are_noted() {
 #[test]
 fn the_map_counts_every_window_once() {
     let run = record(&nameplate(), 0.001, 7);
-    let found = locate(&nameplate(), &run, &floor(&run), ErrorOf::Model).unwrap();
-    let map = found.map.unwrap();
+    let map = locate(&nameplate(), &run, &floor(&run), ErrorOf::Model).unwrap().map.unwrap();
     let windows = Windows::new(&nameplate(), &run, &floor(&run), FEWEST_HALF).unwrap();
     assert_eq!(map.count.iter().flatten().sum::<usize>(), windows.each.len());
     for (counts, errors) in map.count.iter().zip(&map.voltage_rms_v) {
@@ -150,7 +148,7 @@ fn the_map_counts_every_window_once() {
     }
 }
 
-/// A torque that no model has: a shaker at 7.3 Hz, put into the run by hand.
+/// A torque outside of every model: a shaker at 7.3 Hz, added to the run.
 #[test]
 fn a_shaker_is_a_line_at_its_frequency() {
     let mut run = record(&nameplate(), 0.001, 8);
@@ -162,8 +160,7 @@ fn a_shaker_is_a_line_at_its_frequency() {
         *speed += torque_n_m / (0.0045 * w) * (w * time_s).cos();
     }
     let found = locate(&nameplate(), &run, &noise, ErrorOf::Structure).unwrap();
-    let mut locations = found.locations.iter();
-    let line = locations.find(|l| l.variable == "frequency_hz").unwrap();
+    let line = found.locations.iter().find(|l| l.variable == "frequency_hz").unwrap();
     assert!(line.from <= 7.32 && line.to >= 7.28 && line.to - line.from < 0.3, "{line:?}");
     assert_eq!(line.equation, "torque");
     let ErrorForm::Line { amplitude } = line.form else { panic!("{line:?}") };
@@ -200,11 +197,11 @@ fn failing(
 }
 
 #[test]
-fn neither_of_two_that_are_alike_is_said_to_be_the_one() {
+fn equations_or_variables_without_a_significant_difference_are_undecided() {
     let speed: &[_] = &[("speed_rad_s", 0.9)];
     let both: &[_] = &[("speed_rad_s", 0.92), ("angle_rad", 0.9)];
     let one: &[_] = &[("speed_rad_s", 0.92), ("time_s", 0.4)];
-    // Sizes of 3.0 and 2.9 from 200 windows that overlap are one size, whichever comes first in the next run.
+    // Errors of 3.0 and 2.9 from 200 overlapping windows are not significantly different.
     let equations = Undecided::Equations { equations: ["torque", "voltage"] };
     let axes = Undecided::Variables {
         equation: "torque",

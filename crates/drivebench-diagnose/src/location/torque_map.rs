@@ -5,8 +5,8 @@
 //!                                                                               mean, 95 % interval, windows of each
 //! ```
 //!
-//! Of a cogging map a friction of each direction, `a + b w`, is taken out by turns with the bins: what is left is a torque of
-//! the place alone, which gives back over a turn what it takes.
+//! From a cogging map a friction of each direction, `a + b w`, is removed alternately with the bins: the rest is a torque of
+//! the angle alone, whose work over a turn is zero.
 //!
 //! Nothing of the mapped torque's form is taken from the model; its Kt and J are, and an error of them scales what is found.
 //! A bin without enough windows has no value.
@@ -34,7 +34,7 @@ const FEWEST_WINDOWS: usize = 4;
 const WINDOWS_EACH: f64 = 2.0;
 /// A window may turn through so much, rad: what it averages then is 95 % of a wave of seven periods per turn.
 const MOST_TURN_RAD: f64 = 0.3;
-/// Share of a bin by which the speed of a window may wander (a standard deviation).
+/// Share of a bin by which the speed of a window may vary (a standard deviation).
 const STEADY_SHARE: f64 = 0.5;
 /// Rounds of the backfitting, and the least spread of speeds, over the square of their mean, that has a slope.
 const BACKFITS: usize = 50;
@@ -46,11 +46,11 @@ const LEVEL: f64 = 0.95;
 #[derive(Clone, Debug)]
 pub struct MeasuredMap {
     pub map: TorqueMap,
-    /// Runs that were left out, by their places, and the signal that each lacks.
+    /// Runs that were left out, by their index, and the signal that each lacks.
     pub left_out: Vec<(usize, &'static str)>,
 }
 
-/// What stands in the way of a map.
+/// Why there is no map.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum MapError {
     #[error("no run has a {0}")]
@@ -70,8 +70,8 @@ impl MapError {
     }
 }
 
-/// A window's place on the axis, its torque and the deviation that noise alone gives to it.
-struct Found {
+/// A window's position on the axis, its torque and the standard deviation by noise.
+struct WindowTorque {
     place: f64,
     speed_rad_s: f64,
     torque_n_m: f64,
@@ -91,7 +91,7 @@ pub fn torque_map(
         MappedTorque::Cogging => grid(0.0, TAU, BINS_PER_TURN),
     };
     let width = bins[0].to - bins[0].from;
-    let mut found: Vec<Found> = Vec::new();
+    let mut found: Vec<WindowTorque> = Vec::new();
     let mut left_out = Vec::new();
     for (index, (run, noise)) in runs.iter().enumerate() {
         let windows = Windows::new(&rest, run, noise, FEWEST_HALF)?;
@@ -117,11 +117,15 @@ pub fn torque_map(
         for window in windows.of(Balance::Torque) {
             let place = match of {
                 MappedTorque::Friction => steady_speed(&windows, window, width),
-                MappedTorque::Cogging => still_angle(&angle[windows.samples_of(window)]),
+                MappedTorque::Cogging => {
+                    let own = &angle[windows.samples_of(window)];
+                    let (low, high) = extent(own.iter());
+                    (high - low < MOST_TURN_RAD).then(|| own[own.len() / 2].rem_euclid(TAU))
+                }
             };
-            // Where the shaft turned too far, or its speed was not steady, it has none.
+            // None where the shaft turned too far, or its speed was not steady.
             if let Some(place) = place {
-                found.push(Found {
+                found.push(WindowTorque {
                     place,
                     speed_rad_s: window.speed_rad_s,
                     torque_n_m: window.error(Balance::Torque),
@@ -148,33 +152,26 @@ fn grid(from: f64, to: f64, count: usize) -> Vec<MapBin> {
     (0..count).map(bin).collect()
 }
 
-/// Mean speed of a window in which it neither wanders nor passes zero.
+/// Mean speed of a window in which it neither varies nor passes zero.
 fn steady_speed(windows: &Windows<'_>, window: &Window, width: f64) -> Option<f64> {
     let own = &windows.scenario.speed_rad_s[windows.samples_of(window)];
     let mean = window.speed_rad_s;
     let (low, high) = extent(own.iter());
     let one_way = low * high > 0.0 && mean.abs() > windows.dead_zone_rad_s;
     let weights = windows.weights_of(window).mean;
-    let squares = weights.iter().zip(own);
-    let variance: f64 = squares.map(|(w, value)| w * (value - mean).powi(2)).sum();
+    let variance: f64 = weights.iter().zip(own).map(|(w, value)| w * (value - mean).powi(2)).sum();
     (one_way && variance.sqrt() < STEADY_SHARE * width).then_some(mean)
-}
-
-/// Middle angle within a turn of a window in which the shaft turns little, one way.
-fn still_angle(own: &[f64]) -> Option<f64> {
-    let (low, high) = extent(own.iter());
-    (high - low < MOST_TURN_RAD).then(|| own[own.len() / 2].rem_euclid(TAU))
 }
 
 /// Takes what depends on the speed out of torques over a turn: the bins' means and a line over the speed of each direction,
 /// one after the other until neither changes (backfitting; Hastie and Tibshirani, Generalized Additive Models, 1990).
-fn take_friction_out(found: &mut [Found], bins: &[MapBin]) {
+fn take_friction_out(found: &mut [WindowTorque], bins: &[MapBin]) {
     let width = bins[0].to - bins[0].from;
-    let bin_of = |found: &Found| whole((found.place / width).floor()).min(bins.len() - 1);
+    let bin_of = |found: &WindowTorque| whole((found.place / width).floor()).min(bins.len() - 1);
     let mut wave = vec![0.0; bins.len()];
     let mut lines = [[0.0; 2]; 2];
-    let way = |found: &Found| usize::from(found.speed_rad_s < 0.0);
-    let friction = |lines: &[[f64; 2]; 2], found: &Found| {
+    let way = |found: &WindowTorque| usize::from(found.speed_rad_s < 0.0);
+    let friction = |lines: &[[f64; 2]; 2], found: &WindowTorque| {
         let [at_rest, slope] = lines[way(found)];
         at_rest + slope * found.speed_rad_s
     };
@@ -202,7 +199,7 @@ fn take_friction_out(found: &mut [Found], bins: &[MapBin]) {
     }
 }
 
-/// Ordinate at zero and slope of the least squares; no slope where the places are one.
+/// Intercept and slope by least squares; no slope where all positions are equal.
 fn straight(points: &[(f64, f64)]) -> [f64; 2] {
     let n = points.len().max(1) as f64;
     let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
@@ -213,13 +210,13 @@ fn straight(points: &[(f64, f64)]) -> [f64; 2] {
     [y - slope * x, slope]
 }
 
-fn filled(bin: MapBin, found: &[Found]) -> MapBin {
-    let inside = found.iter();
-    let inside = inside.filter(|found| found.place >= bin.from && found.place < bin.to);
-    let inside: Vec<&Found> = inside.collect();
+fn filled(bin: MapBin, found: &[WindowTorque]) -> MapBin {
+    let inside = found.iter().filter(|found| found.place >= bin.from && found.place < bin.to);
+    let inside: Vec<&WindowTorque> = inside.collect();
     let n = inside.len() as f64;
-    let mean =
-        |value: &dyn Fn(&Found) -> f64| inside.iter().map(|found| value(found)).sum::<f64>() / n;
+    let mean = |value: &dyn Fn(&WindowTorque) -> f64| {
+        inside.iter().map(|found| value(found)).sum::<f64>() / n
+    };
     let torque = (inside.len() >= FEWEST_WINDOWS).then(|| {
         let torque_n_m = mean(&|found| found.torque_n_m);
         let variance = mean(&|found| (found.torque_n_m - torque_n_m).powi(2)) * n / (n - 1.0);
@@ -231,7 +228,7 @@ fn filled(bin: MapBin, found: &[Found]) -> MapBin {
     MapBin { windows: inside.len(), torque, ..bin }
 }
 
-/// Standard deviations to either side that hold the level with so many degrees of freedom.
+/// Half-width of the interval in standard deviations, with so many degrees of freedom (Student).
 fn student(freedom: f64) -> f64 {
     let distribution = StudentsT::new(0.0, 1.0, freedom.max(1.0));
     distribution.map_or(f64::NAN, |it| it.inverse_cdf(0.5 * (1.0 + LEVEL)))
@@ -240,17 +237,8 @@ fn student(freedom: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use drivebench_model::plant::testing;
-    use drivebench_model::plant::{ActiveEffect, Motor, MotorKey, effect};
-
-    fn model(effects: &[(&str, &[f64])]) -> Model {
-        let mut model = Model::baseline(Motor::zk_22fc());
-        for (id, values) in effects {
-            let found = effect::find(id).unwrap();
-            model.effects.push(ActiveEffect::with(found, values));
-        }
-        model
-    }
+    use crate::kit::{nameplate, truth as with_effect, with};
+    use drivebench_model::plant::{MotorKey, testing};
 
     fn mapped(
         of: MappedTorque,
@@ -272,9 +260,9 @@ mod tests {
 
     #[test]
     fn friction_is_found_over_both_directions_without_being_in_the_model() {
-        let truth = model(&[("viscous_friction", &[0.002])]);
-        // The model believes in another friction altogether.
-        let mut given = model(&[("quadratic_load", &[1e-5])]);
+        let truth = with_effect("viscous_friction", &[0.002]);
+        // The model has another friction.
+        let mut given = with_effect("quadratic_load", &[1e-5]);
         given.motor.set(MotorKey::LoadTorque, 0.1);
         let levels = [12.0, 24.0, 36.0, 0.0, -12.0, -24.0, -36.0, 0.0];
         let map = mapped(MappedTorque::Friction, &truth, &given, &levels, 0.8);
@@ -294,10 +282,10 @@ mod tests {
     }
 
     #[test]
-    fn cogging_is_found_over_a_turn_whatever_friction_the_model_lacks() {
+    fn cogging_over_a_turn_does_not_depend_on_the_friction_of_the_model() {
         // About 5 rad/s.
         let plain = cogging_of(&[("cogging", &[0.0, 0.1, 7.0])], &[3.2, -3.2]);
-        // Friction that falls with the speed, which the cogging makes swing.
+        // Friction that falls with the speed, which the cogging modulates.
         let falling = [("cogging", &[0.0, 0.1, 7.0][..]), ("stribeck_friction", &[0.16, 10.0])];
         let falling = cogging_of(&falling, &[3.7, -3.7]);
         for map in [plain, falling] {
@@ -306,7 +294,8 @@ mod tests {
     }
 
     fn cogging_of(truth: &[(&str, &[f64])], levels: &[f64]) -> TorqueMap {
-        let map = mapped(MappedTorque::Cogging, &model(truth), &model(&[]), levels, 8.0);
+        let map =
+            mapped(MappedTorque::Cogging, &with(nameplate(), truth), &nameplate(), levels, 8.0);
         assert!(map.known() > BINS_PER_TURN / 2, "{}", map.known());
         let mut off = 0.0;
         for bin in &map.bins {

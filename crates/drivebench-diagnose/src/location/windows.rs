@@ -3,7 +3,7 @@
 //! With `e` the measurement less the model, restarted at the begin of the window, and `psi = (1 - s^2)^4` over it:
 //! `v = -(L <e_i'> + R <e_i> + Ke <e_w>)` is the missing voltage, `m = Kt <e_i> - J <e_w'>` the missing torque, both
 //! counted as losses like the terms of the catalogue. Where both move, but in opposite directions, the difference of their
-//! known friction is taken out: a reversal that the model makes a moment too late is no missing torque. The derivative
+//! known friction is taken out: a delayed reversal of the model is no missing torque. The derivative
 //! falls on `psi`, which vanishes at both ends.
 
 use std::ops::RangeInclusive;
@@ -17,30 +17,30 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
-/// Thresholds of the windows and of what their balances lack.
+/// Thresholds of the windows and of the errors of their balances.
 struct Settings {
     /// Length of a window, s.
     window_s: f64,
     /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined.
     dead_zone_sigmas: f64,
-    /// Whatever the noise, those below this share of the largest do.
+    /// Or below this share of the largest speed.
     dead_zone_share: f64,
     /// The same where the noise is not known.
     dead_zone_share_without_noise: f64,
-    /// Share of a window at standstill above which it says nothing of the torque: friction takes what it must.
+    /// Share of a window at standstill above which it has no torque balance: static friction is undetermined.
     longest_rest_share: f64,
-    /// A balance within this multiple of the noise lacks nothing that can be seen.
+    /// A balance within this multiple of the noise does not fail.
     largest_nres: f64,
-    /// Without a known noise: share of the drive below which an error is arithmetic.
+    /// Without a known noise: share of the drive below which an error is rounding.
     arithmetic_share: f64,
     /// Passes of reweighting that bring least squares to least absolute values.
     passes: usize,
-    /// Share of the mean absolute error within which an error counts as a square: without it one window of no error would weigh
+    /// Share of the mean absolute error within which an error counts as a square (Huber): else a window of zero error would weigh
     /// as much as all others together.
     soft_share: f64,
     /// Windows that each parameter needs.
     windows_each: f64,
-    /// Damping of the scaled normal matrix: parameters that the run all but ties stay finite.
+    /// Damping of the scaled normal matrix: nearly collinear parameters stay finite.
     tied: f64,
 }
 
@@ -65,7 +65,7 @@ pub(super) const FEWEST_HALF: usize = 3;
 pub(super) struct Window {
     begin: usize,
     pub time_s: f64,
-    /// What voltage and torque equation lack, V and N.m, and the standard deviation that noise alone gives to it.
+    /// Error of voltage and torque equation, V and N.m, and its standard deviation by noise.
     lacks: [f64; 2],
     floor: [f64; 2],
     pub speed_rad_s: f64,
@@ -116,7 +116,7 @@ pub(super) const fn own_keys(equation: Balance) -> &'static [MotorKey] {
     }
 }
 
-/// All windows of a run, with what they were taken from.
+/// All windows of a run, with the run and its model.
 pub(super) struct Windows<'a> {
     pub each: Vec<Window>,
     pub scenario: &'a Scenario,
@@ -127,7 +127,7 @@ pub(super) struct Windows<'a> {
     torque_constant: f64,
 }
 
-/// Weights of one window: the test function and what stands for its derivative; both over the sum of the first.
+/// Weights of one window: the test function and its derivative by differences; both over the sum of the first.
 pub(super) struct Weights {
     pub mean: Vec<f64>,
     rate: Vec<f64>,
@@ -307,7 +307,7 @@ impl<'a> Windows<'a> {
     }
 
     /// Takes the errors of another run of the same excitation out of this one's, window by window since their first
-    /// commands; what has no window there is not known.
+    /// commands; a window without its counterpart is not known.
     pub(super) fn subtract(&mut self, other: &Windows<'_>) {
         let begins_later_s = other.scenario.events[0].0 - self.scenario.events[0].0;
         let near_s = 0.5 * self.length_s();
@@ -342,8 +342,7 @@ impl<'a> Windows<'a> {
 
     /// Windows whose error is known.
     pub(super) fn of(&self, equation: Balance) -> impl Iterator<Item = &Window> {
-        let each = self.each.iter();
-        each.filter(move |window| window.error(equation).is_finite())
+        self.each.iter().filter(move |window| window.error(equation).is_finite())
     }
 
     /// Which signal is missing, if without it the run has neither balance.
@@ -385,7 +384,7 @@ impl<'a> Windows<'a> {
             let whole = forward + back;
             (whole > 0.0).then(|| forward / whole)
         };
-        let is_seen = nres.is_none_or(|nres| nres > noise.tolerance(SETTINGS.largest_nres));
+        let is_above_noise = nres.is_none_or(|nres| nres > noise.tolerance(SETTINGS.largest_nres));
         EquationBalance {
             equation: equation.key(),
             unit: equation.unit(),
@@ -395,7 +394,7 @@ impl<'a> Windows<'a> {
             forward_share_of_error: forward_share(turning_power.map(|power| power.max(0.0))),
             forward_share_of_time: forward_share(turning),
             windows,
-            fails: relative > SETTINGS.arithmetic_share && is_seen,
+            fails: relative > SETTINGS.arithmetic_share && is_above_noise,
             ..EquationBalance::default()
         }
     }
@@ -427,7 +426,7 @@ fn input_over(events: &[(f64, f64)], times: &[f64]) -> (f64, f64) {
 
 impl Windows<'_> {
     /// Changes of the motor's own parameters that would explain most of a balance's error, by least absolute values: a
-    /// fault that is confined to a part of the run then stays there, where least squares would smear it over all of it.
+    /// fault in a part of the run then stays there, where least squares would spread it over all of it.
     /// `None` where the run does not determine them.
     pub(super) fn own_changes(&self, equation: Balance) -> Option<Vec<f64>> {
         let k = own_keys(equation).len();

@@ -1,4 +1,4 @@
-//! The run that would tell what these runs cannot: which of two rivals it is, or what they did not excite.
+//! The most informative next run: it distinguishes two rivals, or excites what the runs in hand did not.
 //!
 //! ```text
 //! menu: recipes (ramp, dither, cycling, ...) --planned within the limits--> Planned: commands, sample times
@@ -8,10 +8,10 @@
 //!                            the best, refitted in full <--- the smaller of the two, over c-hat
 //! ```
 //!
-//! Where no pair is to be told apart, a run is recommended for what the runs in hand would not have shown: each recipe is
-//! simulated with the model that was found, put behind the runs in hand, and weighed by the linear problem that will judge it
-//! (`joint/expected_information`). An effect is promised where twice the precision that shows it is expected: no repetition
-//! of a run in hand doubles what is known, so that no run is recommended twice.
+//! Where no pair is ambiguous, a run is recommended for effects that the runs in hand would not have shown: each recipe is
+//! simulated with the estimated model, appended to the runs in hand, and evaluated by the linear problem of the diagnosis
+//! (`joint/expected_information`). An effect is expected to show at twice the precision of detection: no repetition
+//! of a run in hand doubles the information, so that no run is recommended twice.
 //!
 //! After the T-optimal designs of Hunter and Reiner (1965) and Atkinson and Fedorov (1975): the best
 //! run is the one in which the rival still differs when it has been fitted to the old data and the new.
@@ -31,12 +31,12 @@ use drivebench_model::plant::Scenario;
 pub use plan::{Peaks, Recipe};
 pub use recommend::{menu_within, next_experiment, recommend};
 
-/// Difference of the squared errors, in units of the noise, below which a run tells nothing apart: the block test of the
+/// Difference of the squared errors, in units of the noise, below which a run distinguishes no rivals: the block test of the
 /// decision asks for three standard errors, and its standard error is that of about `4.4/sqrt(D)` (counted on emulated runs
 /// with a difference spread over the run as excitations spread it; 2/sqrt(D) where every block has the same share).
 pub const SEPARATED: f64 = 150.0;
 
-/// An effect that the recommended run does not show, and what would.
+/// An effect that the recommended run does not show, and the excitation that would.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Hidden {
     pub effect: &'static str,
@@ -45,7 +45,7 @@ pub struct Hidden {
 }
 
 findings! {
-    /// What would show an effect that the recommended run does not.
+    /// Excitation that would show an effect that the recommended run does not.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum HiddenReason {
         AnotherRun = "another_run_shows_it",
@@ -62,17 +62,17 @@ findings! {
     /// What is recommended.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum Recommendation {
-        /// A run that tells a pair of rivals apart.
-        TellsApart = "tells_rivals_apart",
+        /// A run that distinguishes a pair of rivals.
+        Distinguishes = "tells_rivals_apart",
         /// No run within the limits does; one with a faster change of the voltage may.
-        CannotTellApart { faster: Option<FasterRun> } = "no_run_tells_rivals_apart",
+        CannotDistinguish { faster: Option<FasterRun> } = "no_run_tells_rivals_apart",
         /// A run that shows effects which no run in hand would have shown.
         Shows = "shows_more_effects",
         ShowsNothingMore = "no_run_shows_more",
     }
 }
 
-/// A run that tells rivals apart where the voltage may change faster.
+/// A run that distinguishes rivals where the voltage may change faster.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FasterRun {
     pub slew_v_per_s: f64,
@@ -80,20 +80,20 @@ pub struct FasterRun {
     pub separation: f64,
 }
 
-/// What to run next, or that no run of this kind will do.
+/// The recommended next run, or that no run of the menu is sufficient.
 #[derive(Clone, Debug, Serialize)]
 pub struct NextExperiment {
     #[serde(rename = "code")]
     pub finding: Recommendation,
-    /// A complete bench file; filled in where the bench is known, and none where no run will do.
+    /// A complete bench file; filled in where the bench is known, and none where no run is sufficient.
     pub bench: Option<String>,
     /// The rivals; none where an effect is to be shown that the runs in hand did not excite.
     pub pair: Option<[&'static str; 2]>,
-    /// Every pair that the recommended run was to tell apart.
+    /// Every pair that the recommended run was to distinguish.
     pub pairs: Vec<PairEntry>,
-    /// The effects that become visible, where there is no pair.
+    /// The effects that become detectable, where there is no pair.
     pub reveals: Vec<&'static str>,
-    /// What stays hidden after it.
+    /// The effects that stay undetectable after it.
     pub hidden: Vec<Hidden>,
     /// Of a pair: expected difference of the squared errors of the wrong and the right one after both have been fitted again, in
     /// units of the noise variance and divided by c-hat, which is above one where the model does not explain the present
@@ -109,13 +109,13 @@ pub struct NextExperiment {
     pub recipe: Option<Recipe>,
 }
 
-/// One pair of rivals: what the recommended run tells of it, and the run that would tell most.
+/// One pair of rivals: its separation by the recommended run, and by its own best run.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PairEntry {
     pub pair: [&'static str; 2],
     /// In the recommended run.
     pub expected_separation: f64,
-    /// What a diagnosis of that run asks for: [`SEPARATED`], and a share of what the effect itself would explain there.
+    /// Separation that a diagnosis of that run needs: [`SEPARATED`], and a share of what the effect itself would explain there.
     pub needed: f64,
     /// Best run of the menu for this pair alone, with its separation from linear fits.
     pub best_program: &'static str,
@@ -124,33 +124,33 @@ pub struct PairEntry {
 }
 
 impl PairEntry {
-    /// Whether the recommended run tells the pair apart.
-    pub fn is_told(&self) -> bool {
+    /// Whether the recommended run distinguishes the pair.
+    pub fn is_separated(&self) -> bool {
         self.expected_separation >= self.needed
     }
 }
 
-/// One run of the menu and what it would tell.
+/// One run of the menu and its expected separation.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct MenuEntry {
     pub program: &'static str,
-    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal. Of a run that tells no
-    /// pair apart it is what it could be at most.
+    /// The smallest over the pairs; where there is no pair, the largest over what it would reveal. Of a run that distinguishes no
+    /// pair an upper bound.
     pub expected_separation: f64,
-    /// What a diagnosis of that run asks for: of a pair as in [`PairEntry::needed`], a squared distance; where there is no
-    /// pair the precision from which on an effect is promised, in the unit of [`NextExperiment::expected_separation`] there.
-    /// The two are no figures of one scale.
+    /// Value that a diagnosis of that run needs: of a pair as in [`PairEntry::needed`], a squared distance; where there is no
+    /// pair the precision from which on an effect is expected to show, in the unit of [`NextExperiment::expected_separation`].
+    /// The two have different scales.
     pub needed: f64,
 }
 
 impl MenuEntry {
-    /// Whether the run tells every pair apart.
-    pub fn is_told(&self) -> bool {
+    /// Whether the run distinguishes every pair.
+    pub fn is_separated(&self) -> bool {
         self.expected_separation >= self.needed
     }
 }
 
-/// Largest magnitudes of a run that is still to be made.
+/// Largest magnitudes of a planned run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExperimentLimits {
     pub voltage_v: f64,
@@ -217,14 +217,13 @@ impl ExperimentLimits {
 
 /// Time between two samples, s.
 fn period_s(run: &Scenario) -> f64 {
-    // A stamp carries rounding; nobody asks for more than microseconds.
+    // Time stamps are rounded; microseconds are enough.
     (median_step(&run.sample_time_s) * 1e6).round() * 1e-6
 }
 
 /// Largest change of the voltage from one event to the next, which is made within a sample.
 fn slew_v_per_s(run: &Scenario) -> f64 {
-    let pairs = run.events.windows(2);
-    let changes = pairs.map(|pair| pair[1].1 - pair[0].1);
+    let changes = run.events.windows(2).map(|pair| pair[1].1 - pair[0].1);
     largest(changes) / period_s(run).max(f64::MIN_POSITIVE)
 }
 

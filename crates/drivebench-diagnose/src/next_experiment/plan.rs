@@ -1,5 +1,5 @@
-//! The runs that are tried, as parts of a bench file's sequence: everything that `run` knows but the coast-down, for which
-//! the model has no open circuit. Each is made smaller until all rivals keep it within the limits, with the commands as a
+//! The runs of the menu, as parts of a bench file's sequence: every excitation of `run` but the coast-down, for which
+//! the model has no open circuit. Each is scaled down until all rivals keep it within the limits, with the commands as a
 //! run would give them.
 
 use serde::Serialize;
@@ -24,16 +24,16 @@ pub struct Recipe {
 
 /// Voltages and times that suit the motor and its limits.
 #[derive(Clone, Copy, Debug)]
-struct Reach {
+struct Levels {
     /// Reaches the largest speed, V.
     full_v: f64,
-    /// May be put on the winding at rest at once, V.
+    /// Largest step at rest, V.
     quick_v: f64,
-    /// Just turns the motor over, V.
+    /// Lowest voltage of motion, V.
     creep_v: f64,
-    /// Draws most of the current when the voltage goes up to full, V/s.
+    /// Slew rate at which most of the allowed current flows, V/s.
     slew_v_per_s: f64,
-    /// Changes the sign of `quick_v` within a command period, or as fast as the bench allows, V/s.
+    /// Slew rate that reverses `quick_v` within a command period, or the fastest of the bench, V/s.
     quick_slew_v_per_s: f64,
     /// Time between two commands, s.
     period_s: f64,
@@ -42,7 +42,7 @@ struct Reach {
 /// How fast a recipe's voltage may change.
 #[derive(Clone, Copy)]
 enum Change {
-    /// So that the motor follows within the current that is allowed.
+    /// At the slew rate that keeps the current within its limit.
     Slewed,
     /// From one level to another within a command period where the bench allows it: small voltages only.
     Quick,
@@ -51,12 +51,12 @@ enum Change {
 /// Number of recipes.
 pub(super) const COUNT: usize = 12;
 
-/// A value as a person would write it into a bench file: three figures, towards zero, so that it stays within its limit.
+/// A value rounded to three significant digits, towards zero, so that it stays within its limit.
 fn figures(value: f64) -> f64 {
     if value == 0.0 || !value.is_finite() {
         return value;
     }
-    // Whole divisions give the shortest decimal; multiplying by 0.01 does not.
+    // A division by a power of ten is the nearest double of the decimal; a product with 0.01 is not.
     let places = 2.0 - value.abs().log10().floor();
     let unit = 10_f64.powf(places.abs());
     // Above its rounding: 9.5 must not become 9.49.
@@ -74,7 +74,7 @@ fn clock(seconds: f64) -> f64 {
 }
 
 /// The segment with all its values rounded.
-fn tidy(segment: Segment) -> Segment {
+fn rounded(segment: Segment) -> Segment {
     let dithered = |dither: Option<Dither>| {
         dither.map(|dither| Dither {
             amplitude_v: figures(dither.amplitude_v),
@@ -128,7 +128,7 @@ fn random(amplitude_v: f64, clock_s: f64, seconds: f64, seed: u64, levels: u16) 
     Segment::Prbs(Prbs { amplitude_v, clock_s, seconds, seed, offset_v: 0.0, levels })
 }
 
-impl Reach {
+impl Levels {
     /// Time to a share of the full voltage and a little on it.
     fn arrival_s(&self, share: f64) -> f64 {
         share * self.full_v / self.slew_v_per_s
@@ -157,8 +157,8 @@ impl Reach {
         }
     }
 
-    /// Every run begins at rest, for its own noise floor: the more samples, the surer the floor.
-    fn behind_rest(&self, parts: &[Segment]) -> Vec<Segment> {
+    /// Every run begins at rest, for its own noise floor, which more samples make more accurate.
+    fn after_rest(&self, parts: &[Segment]) -> Vec<Segment> {
         let rest = standstill((100.0 * self.period_s).clamp(0.5, 1.0));
         [&[rest], parts].concat()
     }
@@ -167,7 +167,7 @@ impl Reach {
         // No faster than half of what the current allows.
         let quarter_s = (2.0 * self.arrival_s(1.0)).max(2.5);
         let full_v = self.full_v;
-        self.behind_rest(&[
+        self.after_rest(&[
             ramp(0.0, -full_v, quarter_s, None),
             ramp(-full_v, full_v, 2.0 * quarter_s, None),
             ramp(full_v, 0.0, quarter_s, None),
@@ -179,14 +179,14 @@ impl Reach {
         let part = || steps(self.full_v, &[0.5, -0.5, 0.0], part_s);
         let heat = [1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 0.0];
         let heat = steps(self.full_v, &heat, self.arrival_s(2.0).max(0.2) + 0.05);
-        self.behind_rest(&[part(), heat, part()])
+        self.after_rest(&[part(), heat, part()])
     }
 
     fn current_reversals(&self) -> Vec<Segment> {
         let levels = [1.0, -1.0, 0.5, -0.5, 0.0, 0.7, -0.7, 0.3, -0.3, 0.0, 1.0, 0.0, -1.0, 0.0];
         let hold_s = self.reversal_s(self.quick_v).max(0.12);
         let part = |times| steps(self.quick_v, &levels, times * hold_s);
-        self.behind_rest(&[part(1.0), part(2.0)])
+        self.after_rest(&[part(1.0), part(2.0)])
     }
 
     fn dither_at_speed(&self) -> Vec<Segment> {
@@ -198,7 +198,7 @@ impl Reach {
                 Dither { amplitude_v: dither_v, clock_s: self.fast_clock_s(dither_v), seed };
             ramp(from_v, to_v, seconds, Some(dither))
         };
-        self.behind_rest(&[
+        self.after_rest(&[
             part(0.0, 0.0, 1.0, 1),
             part(0.0, level_v, change_s, 2),
             part(level_v, level_v, 1.0, 3),
@@ -227,18 +227,18 @@ impl Reach {
         [
             ("rich", Change::Slewed, rich(full_v, self.slew_v_per_s, 1)),
             ("slow_ramp", Change::Slewed, self.slow_ramp()),
-            ("fast_dither", Change::Quick, self.behind_rest(&dither)),
-            ("hard_cycling", Change::Slewed, self.behind_rest(&[steps(full_v, &hard, hard_s)])),
-            ("staircase", Change::Slewed, self.behind_rest(&[steps(full_v, &stairs, stairs_s)])),
-            ("slow_sine", Change::Slewed, self.behind_rest(&[slow_sine])),
+            ("fast_dither", Change::Quick, self.after_rest(&dither)),
+            ("hard_cycling", Change::Slewed, self.after_rest(&[steps(full_v, &hard, hard_s)])),
+            ("staircase", Change::Slewed, self.after_rest(&[steps(full_v, &stairs, stairs_s)])),
+            ("slow_sine", Change::Slewed, self.after_rest(&[slow_sine])),
             ("standstill", Change::Slewed, vec![standstill(4.0)]),
             ("heat_and_repeat", Change::Slewed, self.heat_and_repeat()),
             (
                 "random_levels",
                 Change::Slewed,
-                self.behind_rest(&[random(0.6 * full_v, levels_s, 6.0, 3, 7)]),
+                self.after_rest(&[random(0.6 * full_v, levels_s, 6.0, 3, 7)]),
             ),
-            ("steady_hold", Change::Slewed, self.behind_rest(&[steps(full_v, &[0.5], 4.0)])),
+            ("steady_hold", Change::Slewed, self.after_rest(&[steps(full_v, &[0.5], 4.0)])),
             ("current_reversals", Change::Quick, self.current_reversals()),
             ("dither_at_speed", Change::Quick, self.dither_at_speed()),
         ]
@@ -249,7 +249,7 @@ impl Reach {
         let (id, change, segments) = self.menu()[index].clone();
         Recipe {
             id,
-            segments: segments.into_iter().map(tidy).collect(),
+            segments: segments.into_iter().map(rounded).collect(),
             slew_v_per_s: figures(match change {
                 Change::Slewed => self.slew_v_per_s,
                 Change::Quick => self.quick_slew_v_per_s.max(self.slew_v_per_s),
@@ -258,21 +258,21 @@ impl Reach {
     }
 }
 
-/// Shares of the limits that a plan may use: the motor on the bench is not quite the model.
+/// Shares of the limits that a plan may use: a margin for the error of the model.
 const VOLTAGE_SHARE: f64 = 0.95;
 const CURRENT_SHARE: f64 = 0.85;
 const SPEED_SHARE: f64 = 0.92;
-/// Rows of a plan are not closer than this, and its simulations take no shorter steps, s: a menu of runs takes its time, and
-/// what two models differ by in a run needs no such accuracy as a measurement.
+/// Shortest period of a plan's rows and of its simulation steps, s: a menu of runs is expensive, and
+/// the difference of two models needs less accuracy than a measurement.
 pub(super) const SHORTEST_PERIOD_S: f64 = 2e-3;
-/// Part of the time and of the squared voltage by which two runs of one recipe may differ, and instants that are compared.
+/// Relative difference of duration and of squared voltage of two runs of one recipe, and instants that are compared.
 const ALIKE: f64 = 0.1;
-const LOOKS: usize = 400;
+const INSTANTS: usize = 400;
 const LONGEST_PERIOD_S: f64 = 0.05;
-/// Times a recipe is made smaller before it is given up.
+/// Most attempts to scale a recipe down.
 const MOST_TRIALS: usize = 5;
 
-/// What a run reaches, magnitudes.
+/// Peak magnitudes of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Peaks {
     pub voltage_v: f64,
@@ -294,16 +294,16 @@ pub(super) struct Planned {
 }
 
 impl Planned {
-    /// Whether a run in hand was as good as this one: a repetition tells little more.
-    pub(super) fn was_made_in(&self, run: &Scenario) -> bool {
+    /// Whether a run in hand is nearly the same: a repetition adds little information.
+    pub(super) fn is_repeated_by(&self, run: &Scenario) -> bool {
         let seconds = |run: &Scenario| run.mean_period_s() * run.samples() as f64;
         let long_s = self.peaks.duration_s;
         if (seconds(run) / long_s - 1.0).abs() > ALIKE {
             return false;
         }
         let (mut apart, mut own) = (0.0, 0.0);
-        for sample in 0..LOOKS {
-            let at_s = long_s * (sample as f64 + 0.5) / LOOKS as f64;
+        for sample in 0..INSTANTS {
+            let at_s = long_s * (sample as f64 + 0.5) / INSTANTS as f64;
             let [there, here] = [run, &self.blank].map(|run| run.input_at(run.begin_s() + at_s));
             apart += (there - here).powi(2);
             own += here * here;
@@ -321,7 +321,7 @@ impl Planned {
         self.stands_for * self.blank.samples() as f64
     }
 
-    /// The noise that rows of the plan have where they say as much as those of the bench do.
+    /// The noise at which the rows of the plan have the information of those of the bench.
     pub(super) fn noise(&self, noise: NoiseFloor) -> NoiseFloor {
         NoiseFloor {
             current_a: noise.current_a / self.stands_for.sqrt(),
@@ -330,7 +330,7 @@ impl Planned {
         }
     }
 
-    /// The run as it would be measured, without noise, if `truth` were true.
+    /// The run as it would be measured, without noise, under the model `truth`.
     pub(super) fn measured(&self, truth: &Model) -> Option<Scenario> {
         let mut run = self.blank.clone();
         fill(&mut run, truth)?;
@@ -345,7 +345,7 @@ pub(super) fn planned(
     limits: &ExperimentLimits,
 ) -> Option<Planned> {
     let period_s = limits.period_s.clamp(SHORTEST_PERIOD_S, LONGEST_PERIOD_S);
-    let whole_reach = reach(models.first()?, limits, period_s)?;
+    let whole_reach = levels(models.first()?, limits, period_s)?;
     let mut share = 1.0;
     for _ in 0..MOST_TRIALS {
         let recipe = whole_reach.smaller(share).recipe(index);
@@ -375,8 +375,7 @@ pub(super) fn planned(
 }
 
 fn fill(run: &mut Scenario, model: &Model) -> Option<()> {
-    let plant = Plant::new(model, Input::Voltage).ok()?;
-    let mut plant = plant.coarse(SHORTEST_PERIOD_S);
+    let mut plant = Plant::new(model, Input::Voltage).ok()?.coarse(SHORTEST_PERIOD_S);
     let out = plant.simulate(run, State::default());
     let finite = |values: &[f64]| values.iter().all(|value| value.is_finite());
     (finite(&out.current_a) && finite(&out.speed_rad_s)).then(|| {
@@ -393,13 +392,10 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
     for &time_s in &times {
         let voltage_v = match program.value_at(time_s) {
             Output::Voltage(volts) => volts,
-            // The model knows no open circuit, so no recipe has one.
+            // The model has no open circuit, so no recipe has one.
             Output::Coast => return None,
         };
-        #[expect(
-            clippy::float_cmp,
-            reason = "the same command again changes nothing, another one does"
-        )]
+        #[expect(clippy::float_cmp, reason = "exactly the same command")]
         let changes = events.last().is_none_or(|last| last.1 != voltage_v);
         if changes {
             events.push((time_s, voltage_v));
@@ -421,8 +417,8 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
     })
 }
 
-/// Voltages for this motor; `None` for a model without an electrical half, and where nobody knows what the winding stands.
-fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reach> {
+/// Voltages for this motor; `None` for a model without an armature circuit, and without a limit of the current.
+fn levels(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Levels> {
     if !(limits.current_a.is_finite() && limits.rms_current_a.is_finite()) {
         return None;
     }
@@ -438,7 +434,7 @@ fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reac
     let accelerating_a = (0.9 * (current_a - load_a)).max(0.1 * current_a);
     let slew_v_per_s = accelerating_a * back_emf * back_emf / inertia;
     let quick_v = voltage_v.min(current_a * resistance);
-    let reach = Reach {
+    let levels = Levels {
         full_v,
         quick_v,
         creep_v: full_v.min(2.0 * idle_v + 0.08 * full_v),
@@ -447,7 +443,8 @@ fn reach(model: &Model, limits: &ExperimentLimits, period_s: f64) -> Option<Reac
         quick_slew_v_per_s: (2.0 * quick_v / period_s).min(limits.slew_v_per_s),
         period_s,
     };
-    (reach.full_v > 0.0 && reach.slew_v_per_s > 0.0 && reach.full_v.is_finite()).then_some(reach)
+    (levels.full_v > 0.0 && levels.slew_v_per_s > 0.0 && levels.full_v.is_finite())
+        .then_some(levels)
 }
 
 impl Peaks {
@@ -476,7 +473,7 @@ impl Peaks {
         }
     }
 
-    /// Largest of the peaks in units of what a plan may use; at most one where all is well.
+    /// Largest of the peaks in units of what a plan may use; at most one within the limits.
     fn excess(&self, limits: &ExperimentLimits) -> f64 {
         let travel = limits.travel_rad.map_or(0.0, |limit| self.travel_rad / (SPEED_SHARE * limit));
         [

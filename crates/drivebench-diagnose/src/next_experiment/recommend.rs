@@ -1,4 +1,4 @@
-//! The menu tried on the rivals, and the best of it.
+//! Evaluation of the menu on the rivals, and its best run.
 
 use rayon::prelude::*;
 
@@ -13,18 +13,18 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::plant::{Input, Model, Scenario};
 
-/// Pairs that one run is to tell apart.
+/// Most pairs that one run is to distinguish.
 const MOST_PAIRS: usize = 3;
 /// Runs of the menu whose separation is found with a full refit of the rival, at most.
 const FINALISTS: usize = 3;
-/// Gain of merit for which one more run of the menu is refitted: a third more of the separation.
+/// Gain of merit for which one more run of the menu is refitted: a third more separation.
 const WORTH_A_REFIT: f64 = 0.3;
-/// A diagnosis tells two effects apart where the worse one leaves 2 % more of the squared error that the better one
-/// explains, or of the noise; here with a half more, because the prediction is no better than that.
-const TOLD_APART_SHARE: f64 = 0.03;
+/// A diagnosis distinguishes two effects where the worse one leaves 2 % more of the squared error that the better one
+/// explains, or of the noise; here 3 %, a margin for the error of the prediction.
+const DISTINGUISHED_SHARE: f64 = 0.03;
 
-/// Models that the runs in hand do not tell apart: the answer first, then its rivals.
-struct Question<'a> {
+/// Models that the runs in hand do not distinguish: the answer first, then its rivals.
+struct Rivals<'a> {
     rivals: Vec<Rival<'a>>,
     /// The answer without its effect.
     base: Rival<'a>,
@@ -37,12 +37,12 @@ struct Question<'a> {
 struct Tried {
     plan: Planned,
     separations: Vec<f64>,
-    /// Separation from which a diagnosis of the run would tell a pair apart.
+    /// Separation from which a diagnosis of the run would distinguish a pair.
     needed: f64,
 }
 
 impl Tried {
-    fn tells_any(&self) -> bool {
+    fn separates_any(&self) -> bool {
         self.separations.iter().any(|value| *value >= self.needed)
     }
 
@@ -51,7 +51,7 @@ impl Tried {
     }
 }
 
-impl Question<'_> {
+impl Rivals<'_> {
     /// Factor by which the squared errors of the better rival of a pair count less than white noise.
     fn inflation(&self, pair: usize) -> f64 {
         let [answer, rival] = [0, pair + 1].map(|place| self.rivals[place].inflation);
@@ -59,24 +59,24 @@ impl Question<'_> {
     }
 
     /// For each pair the smaller of the two directions from linear fits, over the pair's inflation; and the separation
-    /// that is needed in this run. Where that is more than the runs of any pair differ by before a rival is fitted to
-    /// them, what they differ by stands for the rest.
+    /// that is needed in this run. Where that is more than the difference of every pair before a rival is fitted to
+    /// the run, this difference is the upper bound that is returned.
     fn evaluated(&self, plan: Planned) -> Tried {
         let noise = plan.noise(self.evidence.noise);
         let residuals = 2.0 * plan.rows();
         let rivals = self.rivals.par_iter();
         let runs: Vec<Option<Scenario>> = rivals.map(|own| plan.measured(own.model)).collect();
         let pairs = 0..self.names.len();
-        let apart = |pair: usize| {
+        let upper_bound = |pair: usize| {
             let squares = runs[0].as_ref().zip(runs[pair + 1].as_ref());
             squares.map_or(0.0, |(a, b)| squared_difference(a, b, noise)) / self.inflation(pair)
         };
         let at_most = Tried {
-            separations: pairs.clone().map(apart).collect(),
-            needed: SEPARATED.max(TOLD_APART_SHARE * residuals),
+            separations: pairs.clone().map(upper_bound).collect(),
+            needed: SEPARATED.max(DISTINGUISHED_SHARE * residuals),
             plan,
         };
-        if !at_most.tells_any() {
+        if !at_most.separates_any() {
             return at_most;
         }
         let responses = self.rivals.par_iter().zip(runs).map(|(rival, run)| {
@@ -84,24 +84,26 @@ impl Question<'_> {
             let (response, _) = Response::of(rival, &run, noise)?;
             Some((run, response))
         });
-        let seen: Vec<Option<(Scenario, Response)>> = responses.collect();
+        let simulated: Vec<Option<(Scenario, Response)>> = responses.collect();
         let direction = |truth: usize, rival: usize| {
-            let (run, _) = seen[truth].as_ref()?;
-            let (_, response) = seen[rival].as_ref()?;
+            let (run, _) = simulated[truth].as_ref()?;
+            let (_, response) = simulated[rival].as_ref()?;
             response.separation_from(run, &self.rivals[rival], noise)
         };
         let separation = |pair: usize| {
             let both = [direction(0, pair + 1), direction(pair + 1, 0)];
             smaller(both) / self.inflation(pair)
         };
-        let explainable = seen[0].as_ref().and_then(|(run, _)| {
-            let (response, difference) = Response::of(&self.base, run, noise)?;
-            Some(response.without_memory().separation(&difference) / self.rivals[0].inflation)
+        let explainable = simulated[0].as_ref().and_then(|(run, _)| {
+            let (mut response, difference) = Response::of(&self.base, run, noise)?;
+            // Without the old data.
+            response.information.fill(0.0);
+            Some(response.separation(&difference) / self.rivals[0].inflation)
         });
         let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
         Tried {
             separations: pairs.map(separation).collect(),
-            needed: SEPARATED.max(TOLD_APART_SHARE * gained.max(residuals)),
+            needed: SEPARATED.max(DISTINGUISHED_SHARE * gained.max(residuals)),
             ..at_most
         }
     }
@@ -117,15 +119,13 @@ impl Question<'_> {
             let (there, back) = rayon::join(|| one_way(0, pair + 1), || one_way(pair + 1, 0));
             smaller([there, back]) / self.inflation(pair)
         };
-        let pairs = (0..self.names.len()).into_par_iter();
-        pairs.map(separation).collect()
+        (0..self.names.len()).into_par_iter().map(separation).collect()
     }
 
     /// The menu but for the recipes that are `known`, best first.
     fn tried(&self, limits: &ExperimentLimits, known: &[&Recipe]) -> Vec<Tried> {
         let models: Vec<&Model> = self.rivals.iter().map(|rival| rival.model).collect();
-        let plans = (0..COUNT).into_par_iter();
-        let plans = plans.filter_map(|index| planned(index, &models, limits));
+        let plans = (0..COUNT).into_par_iter().filter_map(|index| planned(index, &models, limits));
         let plans = plans.filter(|plan| !known.contains(&&plan.recipe));
         let mut tried: Vec<Tried> = plans.map(|plan| self.evaluated(plan)).collect();
         tried.sort_by(|a, b| b.merit().total_cmp(&a.merit()));
@@ -133,10 +133,10 @@ impl Question<'_> {
     }
 
     /// Index of the run that is best when the rivals are refitted in full, and its separations: the linear order is followed
-    /// from its top until the next one could not be much better. Where the first tells nothing apart nothing is refitted.
+    /// from its top until the next one could not be much better. Where the first separates no pair nothing is refitted.
     fn best(&self, tried: &[Tried]) -> Option<(usize, Vec<f64>)> {
         let first = tried.first()?;
-        if !first.tells_any() {
+        if !first.separates_any() {
             return Some((0, first.separations.clone()));
         }
         let mut best = None;
@@ -157,11 +157,10 @@ impl Question<'_> {
     fn pair_entries(&self, tried: &[Tried], chosen: usize, separations: &[f64]) -> Vec<PairEntry> {
         let pairs = self.names.iter().zip(separations).enumerate();
         let entry = |(index, (pair, separation)): (usize, (&[&'static str; 2], &f64))| {
-            // The run in which most beyond what is needed can be expected.
+            // The run with the largest ratio of separation to need.
             let own = |tried: &Tried| tried.separations[index];
             let beyond = |tried: &Tried| own(tried) / tried.needed;
-            let all = tried.iter();
-            let best = all.max_by(|a, b| beyond(a).total_cmp(&beyond(b)))?;
+            let best = tried.iter().max_by(|a, b| beyond(a).total_cmp(&beyond(b)))?;
             let here = &tried[chosen];
             let chosen_is_best = best.plan.recipe.id == here.plan.recipe.id;
             Some(PairEntry {
@@ -177,25 +176,25 @@ impl Question<'_> {
     }
 }
 
-/// What two simulated runs differ by, in units of the noise.
+/// Squared difference of two simulated runs, in units of the noise.
 fn squared_difference(a: &Scenario, b: &Scenario, noise: NoiseFloor) -> f64 {
     let sum = |a: &[f64], b: &[f64], noise: f64| {
         let squares = a.iter().zip(b).map(|(a, b)| ((a - b) / noise).powi(2));
-        // A signal that was not measured counts for nothing.
+        // A signal that was not measured does not count.
         squares.filter(|d| d.is_finite()).sum::<f64>()
     };
     sum(&a.current_a, &b.current_a, noise.current_a)
         + sum(&a.speed_rad_s, &b.speed_rad_s, noise.speed_rad_s)
 }
 
-/// A rival that cannot be simulated there promises nothing.
+/// The smaller separation, zero for a rival that cannot be simulated.
 fn smaller(directions: [Option<f64>; 2]) -> f64 {
-    let promised = |found: Option<f64>| found.filter(|value| value.is_finite()).unwrap_or(0.0);
-    promised(directions[0]).min(promised(directions[1]))
+    let expected = |found: Option<f64>| found.filter(|value| value.is_finite()).unwrap_or(0.0);
+    expected(directions[0]).min(expected(directions[1]))
 }
 
-/// The run after this diagnosis: for the pairs that it could not tell apart, else for what the runs did not excite. `None`
-/// where there is nothing to ask, or no voltage to ask it with.
+/// The next run after this diagnosis: for its ambiguous pairs, else for the effects that the runs did not excite. `None`
+/// where there are neither, or no voltage drives.
 pub fn recommend(
     diagnosis: &Diagnosis,
     evidence: &Evidence,
@@ -225,10 +224,10 @@ pub fn recommend(
         return Ok(None);
     };
     let models: Vec<&Model> = std::iter::once(answer).chain(&rivals).collect();
-    tell_apart(&models, &base, names, evidence, limits)
+    distinguish(&models, &base, names, evidence, limits)
 }
 
-/// The run that separates two fitted models best, within the limits. `evidence` is what both were fitted to, with the
+/// The run that separates two fitted models best, within the limits. `evidence` are the runs of both fits, with the
 /// noise that its baseline left ([`Evidence::with_baseline`]).
 pub fn next_experiment(
     rivals: [&Model; 2],
@@ -236,12 +235,11 @@ pub fn next_experiment(
     limits: &ExperimentLimits,
 ) -> Result<Option<NextExperiment>, FitError> {
     let own = |model: &Model, other: &Model| {
-        let mut ids = model.effect_ids().into_iter().rev();
-        ids.find(|id| !other.has(id)).unwrap_or("baseline")
+        model.effect_ids().into_iter().rev().find(|id| !other.has(id)).unwrap_or("baseline")
     };
     let names = [own(rivals[0], rivals[1]), own(rivals[1], rivals[0])];
     let base = rivals[0].without_effect(names[0])?;
-    tell_apart(&rivals, &base, vec![names], evidence, limits)
+    distinguish(&rivals, &base, vec![names], evidence, limits)
 }
 
 /// Every recipe of the menu that this model can run within the limits.
@@ -250,7 +248,7 @@ pub fn menu_within(model: &Model, limits: &ExperimentLimits) -> Vec<Recipe> {
     plans.map(|plan| plan.recipe).collect()
 }
 
-fn tell_apart(
+fn distinguish(
     models: &[&Model],
     base: &Model,
     names: Vec<[&'static str; 2]>,
@@ -258,7 +256,7 @@ fn tell_apart(
     limits: &ExperimentLimits,
 ) -> Result<Option<NextExperiment>, FitError> {
     let rivals = models.par_iter().map(|model| Rival::new(model, evidence));
-    let question = Question {
+    let question = Rivals {
         rivals: rivals.collect::<Result<Vec<_>, FitError>>()?,
         base: Rival::new(base, evidence)?,
         names,
@@ -269,16 +267,16 @@ fn tell_apart(
         return Ok(None);
     };
     let pairs = question.pair_entries(&tried, chosen, &separations);
-    let told = pairs.iter().find(|pair| pair.is_told());
-    let separable = told.is_some();
-    let Some(first) = told.or(pairs.first()).cloned() else {
+    let separated = pairs.iter().find(|pair| pair.is_separated());
+    let separable = separated.is_some();
+    let Some(first) = separated.or(pairs.first()).cloned() else {
         return Ok(None);
     };
     let plan = &tried[chosen].plan;
     let mut faster = None;
     if !separable && limits.slew_v_per_s.is_finite() {
         let free = ExperimentLimits { slew_v_per_s: f64::INFINITY, ..*limits };
-        // What does not change any faster then has been tried.
+        // Recipes that do not depend on the slew limit have been tried.
         let known: Vec<&Recipe> = tried.iter().map(|tried| &tried.plan.recipe).collect();
         let freely = question.tried(&free, &known);
         if let Some((quicker, separations)) = question.best(&freely) {
@@ -295,9 +293,9 @@ fn tell_apart(
         }
     }
     let finding = if separable {
-        Recommendation::TellsApart
+        Recommendation::Distinguishes
     } else {
-        Recommendation::CannotTellApart { faster }
+        Recommendation::CannotDistinguish { faster }
     };
     let entry = |tried: &Tried| MenuEntry {
         program: tried.plan.recipe.id,
@@ -318,12 +316,12 @@ fn tell_apart(
     }))
 }
 
-/// Most pairs told apart first, then how far the closest of them, then the others.
+/// Number of separated pairs first, then the smallest separation, then the sum.
 fn merit(separations: &[f64], needed: f64) -> f64 {
-    let told = separations.iter().filter(|value| **value >= needed).count();
+    let separated = separations.iter().filter(|value| **value >= needed).count();
     let beyond = |value: f64| (1.0 + value / needed).ln();
     let sum: f64 = separations.iter().copied().map(beyond).sum();
-    1e3 * told as f64 + beyond(smallest(separations)) + 0.1 * sum
+    1e3 * separated as f64 + beyond(smallest(separations)) + 0.1 * sum
 }
 
 fn smallest(separations: &[f64]) -> f64 {

@@ -1,4 +1,4 @@
-//! The run that shows most of what the runs in hand would not have shown, by the weighing that will judge it.
+//! The run that makes most undetected effects detectable, by the criterion of the diagnosis.
 
 use rayon::prelude::*;
 
@@ -9,11 +9,11 @@ use crate::joint::expected_information::{DETECTS, ExpectedInformation};
 use crate::{Diagnosis, DiagnosisVerdict, Evidence, Status};
 use drivebench_model::plant::{ActiveEffect, Effect, Model, Scenario, effect, typical_size};
 
-/// Precision, in units of that from which on an effect shows, from which on it is promised. Twice: no run in hand doubles by
-/// being repeated what is known.
-const PROMISED: f64 = 2.0 * DETECTS;
-/// Factor by which a limit is lifted to see whether it is in the way.
-const LIFTED: f64 = 2.0;
+/// Precision from which on an effect is expected to show: twice that of detection, since no repetition of a run in hand
+/// doubles the information.
+const EXPECTED: f64 = 2.0 * DETECTS;
+/// Factor by which limits are widened to test whether they are binding.
+const WIDENED: f64 = 2.0;
 
 /// A run of the menu and what it would show of each effect that the runs in hand do not, in their order.
 struct Tried {
@@ -22,12 +22,12 @@ struct Tried {
 }
 
 impl Tried {
-    fn promises(&self, place: usize) -> bool {
-        self.information[place] >= PROMISED
+    fn shows_effect(&self, place: usize) -> bool {
+        self.information[place] >= EXPECTED
     }
 
     fn count(&self) -> usize {
-        (0..self.information.len()).filter(|k| self.promises(*k)).count()
+        (0..self.information.len()).filter(|k| self.shows_effect(*k)).count()
     }
 
     fn total(&self) -> f64 {
@@ -39,24 +39,24 @@ impl Tried {
     }
 }
 
-/// What a menu is weighed for.
-struct Question<'a> {
+/// The undetected effects for which a menu is evaluated.
+struct Undetected<'a> {
     model: &'a Model,
     undetected: Vec<&'static str>,
-    /// With each that is not detectable at its typical size: the run keeps its limits with it, too.
+    /// The model with each of them at its typical size, with which the run keeps its limits too.
     with: Vec<Model>,
     information: ExpectedInformation,
-    /// The runs behind the first one that is fitted: one of the menu each, where they were recommended.
+    /// The fitted runs after the first: runs of a menu, where they were recommended.
     made: &'a [Scenario],
 }
 
-impl Question<'_> {
+impl Undetected<'_> {
     /// The menu within some limits, best first.
     fn tried(&self, limits: &ExperimentLimits) -> Vec<Tried> {
         self.menu(limits).0
     }
 
-    /// The same, and whether it is known what the menu shows: a run of it was weighed, or all that the limits allow were made
+    /// The same, and whether the menu could be evaluated: a run of it was simulated, or all that the limits allow were made
     /// already.
     fn menu(&self, limits: &ExperimentLimits) -> (Vec<Tried>, bool) {
         let models: Vec<&Model> = std::iter::once(self.model).chain(&self.with).collect();
@@ -64,7 +64,7 @@ impl Question<'_> {
         let plans: Vec<Planned> =
             plans.filter_map(|index| planned(index, &models, limits)).collect();
         let allowed = plans.len();
-        let is_open = |plan: &Planned| !self.made.iter().any(|run| plan.was_made_in(run));
+        let is_open = |plan: &Planned| !self.made.iter().any(|run| plan.is_repeated_by(run));
         let open: Vec<Planned> = plans.into_iter().filter(is_open).collect();
         let all_made = allowed > 0 && open.is_empty();
         let tried = open.into_par_iter().filter_map(|plan| {
@@ -78,35 +78,33 @@ impl Question<'_> {
             Some(Tried { plan, information })
         });
         let mut tried: Vec<Tried> = tried.collect();
-        tried.sort_by(|a, b| {
-            let fewer = b.count().cmp(&a.count());
-            fewer.then(b.total().total_cmp(&a.total()))
-        });
+        tried.sort_by(|a, b| b.count().cmp(&a.count()).then(b.total().total_cmp(&a.total())));
         let is_known = all_made || !tried.is_empty();
         (tried, is_known)
     }
 
-    /// Why each of what the best run of a menu does not show stays hidden.
+    /// The effects that the best run of a menu does not show, each with the reason.
     fn hidden(&self, tried: &[Tried], limits: &ExperimentLimits) -> Vec<Hidden> {
         let best = tried.first();
         let places = 0..self.undetected.len();
         let left: Vec<usize> =
-            places.filter(|place| !best.is_some_and(|best| best.promises(*place))).collect();
-        let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.promises(place));
+            places.filter(|place| !best.is_some_and(|best| best.shows_effect(*place))).collect();
+        let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.shows_effect(place));
         let alone: Vec<usize> = left.iter().copied().filter(|p| !shows(tried, *p)).collect();
-        // What limits are in the way of is worked out only where no run is left: it takes a menu for each of them.
-        let lifted: Vec<(HiddenReason, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0) {
+        // Binding limits are computed only where no run is left: each needs a menu.
+        let widened: Vec<(HiddenReason, Vec<Tried>)> = if best.is_some_and(|best| best.count() > 0)
+        {
             Vec::new()
         } else {
-            let lifted = lifted(limits).into_iter();
-            lifted.map(|(reason, limits)| (reason, self.tried(&limits))).collect()
+            let widened = widened(limits).into_iter();
+            widened.map(|(reason, limits)| (reason, self.tried(&limits))).collect()
         };
         let reason = |place: usize| {
             if !alone.contains(&place) {
                 return HiddenReason::AnotherRun;
             }
-            let in_the_way = lifted.iter().find(|(_, tried)| shows(tried, place));
-            in_the_way.map_or(HiddenReason::Excitation, |(reason, _)| *reason)
+            let binding = widened.iter().find(|(_, tried)| shows(tried, place));
+            binding.map_or(HiddenReason::Excitation, |(reason, _)| *reason)
         };
         let hidden = left
             .into_iter()
@@ -115,8 +113,8 @@ impl Question<'_> {
     }
 }
 
-/// The same limits with some of them lifted, and what that shows to be in the way.
-fn lifted(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
+/// The limits, some of them widened, with the reason for which they stand.
+fn widened(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
     let mut all = Vec::new();
     if limits.slew_v_per_s.is_finite() {
         let reason = HiddenReason::Slew { v_per_s: limits.slew_v_per_s };
@@ -127,11 +125,11 @@ fn lifted(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
         all.push((reason, ExperimentLimits { travel_rad: None, ..*limits }));
     }
     let more = ExperimentLimits {
-        voltage_v: LIFTED * limits.voltage_v,
-        current_a: LIFTED * limits.current_a,
-        speed_rad_s: LIFTED * limits.speed_rad_s,
-        rms_current_a: LIFTED * limits.rms_current_a,
-        duration_s: LIFTED * limits.duration_s,
+        voltage_v: WIDENED * limits.voltage_v,
+        current_a: WIDENED * limits.current_a,
+        speed_rad_s: WIDENED * limits.speed_rad_s,
+        rms_current_a: WIDENED * limits.rms_current_a,
+        duration_s: WIDENED * limits.duration_s,
         ..*limits
     };
     let ExperimentLimits { voltage_v, current_a, speed_rad_s, duration_s, .. } = *limits;
@@ -140,9 +138,9 @@ fn lifted(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
     all
 }
 
-/// The run in which most of what these runs would not have shown shows, beside the model that was found. `None` where
-/// everything has been shown, or where nobody knows what a run would show: much is not explained, no run of the menu could be
-/// weighed, or the model has what a fit of runs behind each other cannot hold.
+/// The run that shows most of the effects that these runs would not, beside the estimated model. `None` where
+/// all were shown, or where a run cannot be evaluated: much is not explained, no run of the menu could be
+/// simulated, or the model has an effect of a single run.
 pub(super) fn reveal(
     diagnosis: &Diagnosis,
     evidence: &Evidence,
@@ -157,8 +155,7 @@ pub(super) fn reveal(
     if has_of_one_run {
         return None;
     }
-    let candidates = diagnosis.candidates.iter();
-    let undetected = candidates.filter(|one| one.status == Status::NotExcited);
+    let undetected = diagnosis.candidates.iter().filter(|one| one.status == Status::NotExcited);
     let undetected: Vec<&'static str> = undetected.map(|one| one.effect).collect();
     if undetected.is_empty() {
         return None;
@@ -168,7 +165,7 @@ pub(super) fn reveal(
         .filter(|effect| undetected.contains(&effect.card().id))
         .collect();
     let with = undetected.iter();
-    let question = Question {
+    let question = Undetected {
         model,
         with: with.filter_map(|id| with_typical(model, id, evidence)).collect(),
         undetected,
@@ -183,7 +180,7 @@ pub(super) fn reveal(
     let menu = tried.iter().map(|tried| MenuEntry {
         program: tried.plan.recipe.id,
         expected_separation: tried.largest(),
-        needed: PROMISED,
+        needed: EXPECTED,
     });
     let menu = menu.collect();
     let best = tried.first().filter(|best| best.count() > 0);
@@ -202,7 +199,7 @@ pub(super) fn reveal(
     let Some(best) = best else {
         return Some(nothing());
     };
-    let places = (0..question.undetected.len()).filter(|place| best.promises(*place));
+    let places = (0..question.undetected.len()).filter(|place| best.shows_effect(*place));
     let places: Vec<usize> = places.collect();
     let reveals: Vec<&'static str> =
         places.iter().map(|place| question.undetected[*place]).collect();

@@ -1,7 +1,7 @@
-//! Separation of rivals by a planned run: how far one stays from the truth after it was fitted to the old data and the new.
+//! Separation of rivals by a planned run: the error of one of them after a fit to the old data and the new (T-optimality).
 //!
 //! `D(A|B) = min over dx of |d + S dx|^2 + dx'F dx`, `d = (y_A - y_B)/sigma` in the new run, `S` the Jacobian of B there,
-//! `F` its information from the old data: how firmly they hold its parameters.
+//! `F` its information matrix from the old data.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -14,19 +14,19 @@ use drivebench_model::numerics::levenberg_marquardt::{Options, Problem, jacobian
 use drivebench_model::numerics::statistics::autocorrelation;
 use drivebench_model::plant::{Model, ParameterRole, Scenario, Slot};
 
-/// Lags beyond which a correlation of the residual is not followed.
+/// Largest lag of the residual's autocorrelation.
 const MOST_LAGS: usize = 200;
 
 /// A rival of a pair.
 #[derive(Clone)]
 pub(super) struct Rival<'a> {
     pub(super) model: &'a Model,
-    /// `J'J` of the present data over the free parameters, the start of the run and the times of its events eliminated:
+    /// `J'J` of the present data over the free parameters, the initial state and the times of events eliminated:
     /// another run has its own.
     information: DMatrix<f64>,
     /// d(parameter)/dx of the coordinates of `information`.
     slopes: Vec<f64>,
-    /// Factor by which the residual's squares count less than those of white noise at the floor, at least one.
+    /// Variance inflation (c-hat) of the residual against white noise at the floor, at least one.
     pub(super) inflation: f64,
 }
 
@@ -42,18 +42,18 @@ impl<'a> Rival<'a> {
         let jacobian = jacobian_at(&problem, &x, &residual);
         let normal = jacobian.tr_mul(&jacobian);
         let free = problem.free_slots();
-        let passing: Vec<usize> =
+        let nuisance: Vec<usize> =
             (0..x.len()).filter(|&index| free.get(index).is_none_or(is_event)).collect();
         let inflation = inflation(&residual, problem.rows());
         Ok(Self {
             model,
-            information: eliminated(&normal, &passing, free.len()),
+            information: eliminated(&normal, &nuisance, free.len()),
             slopes: problem.slopes(&x),
             inflation,
         })
     }
 
-    /// Its model with the events where they are in `run`, which has its own; `None` for a model without events.
+    /// Its model with the times of events estimated from `run`; `None` for a model without events.
     pub(super) fn placed(&self, run: &Scenario, noise: NoiseFloor) -> Option<Model> {
         self.model.free_slots().iter().find(|slot| is_event(slot))?;
         let mut placed = output_error::predict(self.model, run, &noise).ok()?.model;
@@ -61,7 +61,7 @@ impl<'a> Rival<'a> {
         Some(placed)
     }
 
-    /// The same rival with its events elsewhere.
+    /// The same rival with other times of events.
     pub(super) fn with<'b>(&self, model: &'b Model) -> Rival<'b> {
         Rival {
             model,
@@ -95,11 +95,11 @@ fn is_event(slot: &Slot) -> bool {
     slot.has_role(ParameterRole::EventTime)
 }
 
-/// The normal matrix over the first `kept` unknowns when those in `passing` may be anything (Schur complement); the rows
-/// of a passing unknown that is among the first are zero.
-fn eliminated(normal: &DMatrix<f64>, passing: &[usize], kept: usize) -> DMatrix<f64> {
+/// The normal matrix over the first `kept` unknowns with those in `nuisance` eliminated (Schur complement); the rows
+/// of a nuisance parameter that is among the first are zero.
+fn eliminated(normal: &DMatrix<f64>, nuisance: &[usize], kept: usize) -> DMatrix<f64> {
     let mut left = normal.clone();
-    for &index in passing {
+    for &index in nuisance {
         let pivot = left[(index, index)];
         if pivot > 0.0 {
             let column: DVector<f64> = left.column(index).into_owned();
@@ -111,7 +111,7 @@ fn eliminated(normal: &DMatrix<f64>, passing: &[usize], kept: usize) -> DMatrix<
     left.view((0, 0), (kept, kept)).into_owned()
 }
 
-/// `max(1, chi2/n (1 + 2 sum rho))`, the correlation followed in each signal to its first lag within chance (Bartlett).
+/// `max(1, chi2/n (1 + 2 sum rho))`, summed in each signal to its first lag within chance (Bartlett).
 fn inflation(residual: &[f64], rows: &[(usize, bool)]) -> f64 {
     let mut sum = 0.0;
     for speed in [false, true] {
@@ -130,15 +130,14 @@ fn inflation(residual: &[f64], rows: &[(usize, bool)]) -> f64 {
     (sum / residual.len().max(1) as f64).max(1.0)
 }
 
-/// `D` for a linear rival; `run` holds what the truth would show. `None` where the rival cannot be simulated.
+/// `D` for a linear rival; `run` is simulated with the truth. `None` where the rival cannot be simulated.
 pub(super) fn linear(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
     let (response, difference) = Response::of(rival, run, noise)?;
     Some(response.separation(&difference))
 }
 
 fn planned_run<'a>(rival: &Rival<'_>, run: &'a Scenario, noise: NoiseFloor) -> Option<FreeRun<'a>> {
-    let run = FreeRun::new(rival.model, run, noise).ok()?;
-    Some(run.coarse(SHORTEST_PERIOD_S))
+    Some(FreeRun::new(rival.model, run, noise).ok()?.coarse(SHORTEST_PERIOD_S))
 }
 
 /// The rival's difference to the run, in units of the noise.
@@ -147,14 +146,14 @@ fn difference(problem: &FreeRun<'_>, x: &[f64]) -> Option<DVector<f64>> {
     problem.residual(x, &mut out).then(|| DVector::from_vec(out))
 }
 
-/// How a rival can change in a run.
+/// Linear response of a rival in a run to its parameters.
 pub(super) struct Response {
     jacobian: DMatrix<f64>,
-    information: DMatrix<f64>,
+    pub(super) information: DMatrix<f64>,
 }
 
 impl Response {
-    /// Of this rival in `run`, with its difference to what the run holds.
+    /// Of this rival in `run`, with its difference to the run.
     pub(super) fn of(
         rival: &Rival<'_>,
         run: &Scenario,
@@ -180,19 +179,13 @@ impl Response {
         let problem = planned_run(rival, run, noise)?;
         let x = problem.start();
         if x.len() != self.information.nrows() {
-            // An offset does not look like rest: its start is one more unknown.
+            // With an offset the run does not begin at rest: its initial state is one more unknown.
             return linear(run, rival, noise);
         }
         Some(self.separation(&difference(&problem, &x)?))
     }
 
-    /// The same where nothing holds the rival but the run itself.
-    pub(super) fn without_memory(mut self) -> Self {
-        self.information.fill(0.0);
-        self
-    }
-
-    /// What is left of `difference` when the rival has moved as far as the old data allow.
+    /// Minimum of the penalised squared difference over the rival's parameters.
     pub(super) fn separation(&self, difference: &DVector<f64>) -> f64 {
         self.step(difference).map_or_else(
             || difference.norm_squared(),
@@ -203,11 +196,11 @@ impl Response {
         )
     }
 
-    /// The rival's best move against `difference`.
+    /// The Gauss-Newton step of the rival's parameters against `difference`.
     fn step(&self, difference: &DVector<f64>) -> Option<DVector<f64>> {
         let normal = self.jacobian.tr_mul(&self.jacobian) + &self.information;
         let gradient = self.jacobian.tr_mul(difference);
-        // Scaled to a unit diagonal, with a ridge for directions that nothing determines.
+        // Scaled to a unit diagonal, with a ridge for undetermined directions.
         let scale: Vec<f64> = (0..normal.nrows())
             .map(|k| 1.0 / normal[(k, k)].max(f64::MIN_POSITIVE).sqrt())
             .collect();
@@ -221,14 +214,14 @@ impl Response {
     }
 }
 
-/// The same with the rival fitted in full, so that one that bends does not pass for one that cannot.
+/// The same with a nonlinear fit of the rival.
 pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> Option<f64> {
     let placed = rival.placed(run, noise);
     let rival = &placed.as_ref().map_or_else(|| rival.clone(), |model| rival.with(model));
     let problem = planned_run(rival, run, noise)?;
     let start = problem.start();
     let (response, difference) = Response::of(rival, run, noise)?;
-    // Most of the way is linear.
+    // The linear step is the initial point.
     let mut begin = start.clone();
     if let Some(step) = response.step(&difference) {
         for (x, step) in begin.iter_mut().zip(step.iter()) {
@@ -240,28 +233,28 @@ pub(super) fn refitted(run: &Scenario, rival: &Rival<'_>, noise: NoiseFloor) -> 
     if !problem.residual(&begin, &mut out) {
         begin.clone_from(&start);
     }
-    let held = HeldByOldData { root: root(&response.information), start, run: problem };
+    let penalised = PenalisedRun { root: root(&response.information), start, run: problem };
     let options = Options {
         most_iterations: 12,
         relative_cost: 1e-2,
         longest_step: LONGEST_STEP,
         ..Options::thrifty()
     };
-    Some(minimise(&held, &begin, options)?.cost)
+    Some(minimise(&penalised, &begin, options)?.cost)
 }
 
 /// Longest step of a scaled parameter.
 const LONGEST_STEP: f64 = 1.5;
 
-/// A free run with the old data as a spring to where they hold the parameters.
-struct HeldByOldData<'a> {
+/// A free run with the old data as a quadratic penalty on the parameters.
+struct PenalisedRun<'a> {
     run: FreeRun<'a>,
     /// `root' root` is the information.
     root: DMatrix<f64>,
     start: Vec<f64>,
 }
 
-impl Problem for HeldByOldData<'_> {
+impl Problem for PenalisedRun<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let rows = self.run.residual_len();
         let moved = DVector::from_iterator(

@@ -1,4 +1,4 @@
-//! Pairs that one run does not tell apart: the recommended run is made, and tells them apart as it was expected to.
+//! Pairs that one run does not distinguish: the recommended run is made, and separates them as expected.
 
 use super::*;
 use crate::kit::{held, nameplate, truth as with};
@@ -35,13 +35,13 @@ fn commands(recipe: &Recipe, period_s: f64) -> (Vec<(f64, f64)>, f64) {
     ((0..rows).map(command).collect(), program.duration_s())
 }
 
-/// The recipe as the machine would answer it.
+/// The run of a recipe on the machine `truth`.
 fn made(truth: &Model, recipe: &Recipe, seed: u64) -> Scenario {
     let (events, seconds) = commands(recipe, PERIOD_S);
     testing::record(truth, events, PERIOD_S, seconds, seed)
 }
 
-/// One model on two runs at once: what "fitted to the old data and the new" means.
+/// Joint fit of one model to the old data and the new.
 struct Both<'a> {
     old: FreeRun<'a>,
     new: &'a Scenario,
@@ -77,7 +77,7 @@ fn chi2_of_both(model: &Model, evidence: &Evidence, new: &Scenario) -> f64 {
     minimise(&both, &start, Options::default()).unwrap().cost
 }
 
-/// A case: what is true, what else it may be, and the run in hand.
+/// A case: the truth, its rival, and the run in hand.
 struct Case {
     truth: Model,
     rival: Model,
@@ -98,8 +98,7 @@ fn answer(case: &Case) -> Answer {
     let evidence = Evidence::new(run(1), Some(run(2)), None);
     let fitted = |model: &Model| {
         let start = std::slice::from_ref(model);
-        let fit = output_error::fit(start, &evidence.training, &evidence.noise);
-        fit.unwrap().model
+        output_error::fit(start, &evidence.training, &evidence.noise).unwrap().model
     };
     let (truth, rival) = (fitted(&case.truth), fitted(&case.rival));
     let next = next_experiment([&truth, &rival], &evidence, &LIMITS).unwrap().unwrap();
@@ -116,21 +115,19 @@ fn answer(case: &Case) -> Answer {
 }
 
 fn entry(next: &NextExperiment, program: &str) -> f64 {
-    let mut menu = next.menu.iter();
-    menu.find(|entry| entry.program == program).unwrap().expected_separation
+    next.menu.iter().find(|entry| entry.program == program).unwrap().expected_separation
 }
 
 /// The run is expected to separate, does so to the same order, and its diagnosis names the truth alone.
-/// A `useless` run promises next to nothing.
-fn told_apart(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
+/// A `useless` run is expected to separate hardly.
+fn separated(case: &Case, best: &[&str], useless: &str) -> NextExperiment {
     let Answer { next, obtained, again } = answer(case);
     let expected = next.expected_separation;
-    assert!(expected > SEPARATED && next.finding == Recommendation::TellsApart, "{expected}");
-    // The menu asks of a run what the decision asks of it.
+    assert!(expected > SEPARATED && next.finding == Recommendation::Distinguishes, "{expected}");
+    // Menu and decision need the same separation.
     let recommended = next.recipe.as_ref().unwrap().id;
-    let mut menu = next.menu.iter();
-    let chosen = menu.find(|entry| entry.program == recommended).unwrap();
-    assert!(chosen.is_told(), "{chosen:?}");
+    let chosen = next.menu.iter().find(|entry| entry.program == recommended).unwrap();
+    assert!(chosen.is_separated(), "{chosen:?}");
     assert_eq!(chosen.needed.to_bits(), next.pairs[0].needed.to_bits());
     let ratio = obtained / expected;
     assert!((0.3..30.0).contains(&ratio), "{ratio}");
@@ -151,14 +148,14 @@ fn a_drag_law_needs_the_whole_range_of_speeds() {
         events,
         seconds: 6.5,
     };
-    let next = told_apart(&case, &["slow_ramp", "rich"], "standstill");
+    let next = separated(&case, &["slow_ramp", "rich"], "standstill");
     assert!(entry(&next, "standstill") < 1.0);
     assert!(entry(&next, "slow_ramp") > 10.0 * entry(&next, "steady_hold"));
 }
 
 #[test]
 fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
-    // Up, down and back: slow ramps, whose slope tells that there is a lag but not of which kind.
+    // Up, down and back: slow ramps, which show a lag but not its kind.
     let command = |k| {
         let time_s = 0.004 * f64::from(k);
         let legs = (time_s - 0.5).max(0.0) / 1.375;
@@ -170,7 +167,7 @@ fn a_delay_and_a_filter_of_the_speed_need_a_fast_dither() {
         events: (0..1500).map(command).collect(),
         seconds: 6.0,
     };
-    told_apart(&case, &["fast_dither"], "standstill");
+    separated(&case, &["fast_dither"], "standstill");
 }
 
 #[test]
@@ -182,7 +179,7 @@ fn offsets_of_voltage_and_current_need_both_directions() {
         seconds: 6.0,
     };
     let best = ["hard_cycling", "heat_and_repeat", "slow_ramp", "rich", "random_levels"];
-    told_apart(&case, &best, "steady_hold");
+    separated(&case, &best, "steady_hold");
 }
 
 #[test]
@@ -194,11 +191,11 @@ fn a_sag_and_a_saturation_need_large_currents_at_several_duties() {
         seconds: 6.0,
     };
     let best = ["hard_cycling", "dither_at_speed", "rich"];
-    told_apart(&case, &best, "standstill");
+    separated(&case, &best, "standstill");
 }
 
 #[test]
-fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
+fn the_slew_of_the_bench_is_kept_and_a_faster_run_is_named() {
     let case = [with("speed_delay", &[0.008]), with("speed_filter", &[0.008])];
     let run = |seed| testing::record(&case[0], held(&[20.0, -20.0, 30.0], 0.7), 0.01, 2.6, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
@@ -215,15 +212,15 @@ fn the_bench_s_slew_is_kept_and_what_a_faster_one_would_tell_is_said() {
     };
     let slowly = recommended(&slow);
     assert!(slowly.recipe.is_none(), "{slowly:?}");
-    let is_told_faster =
-        matches!(slowly.finding, Recommendation::CannotTellApart { faster: Some(_) });
-    assert!(is_told_faster, "{:?}", slowly.finding);
+    let has_faster =
+        matches!(slowly.finding, Recommendation::CannotDistinguish { faster: Some(_) });
+    assert!(has_faster, "{:?}", slowly.finding);
     let freely = recommended(&ExperimentLimits { slew_v_per_s: f64::INFINITY, ..slow });
     assert_eq!(freely.recipe.unwrap().id, "fast_dither");
 }
 
 #[test]
-fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
+fn limits_are_kept_and_a_pair_may_stay_ambiguous_within_them() {
     let evidence_of = |truth: &Model| {
         let events = held(&[38.0, 55.0], 0.7);
         let run = |seed| testing::record(truth, events.clone(), PERIOD_S, 2.0, seed);
@@ -232,12 +229,11 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
     let truth = with("quadratic_load", &[1.5e-6]);
     let rival = with("viscous_friction", &[4e-4]);
     let tight = ExperimentLimits { voltage_v: 3.0, current_a: 2.5, ..LIMITS };
-    let next = next_experiment([&truth, &rival], &evidence_of(&truth), &tight);
-    let next = next.unwrap().unwrap();
+    let next = next_experiment([&truth, &rival], &evidence_of(&truth), &tight).unwrap().unwrap();
     assert!(next.recipe.is_none() && next.peaks.is_none());
     assert!(next.expected_separation < SEPARATED);
-    assert_eq!(next.finding, Recommendation::CannotTellApart { faster: None });
-    // Offsets are told apart within whatever the runs have reached.
+    assert_eq!(next.finding, Recommendation::CannotDistinguish { faster: None });
+    // Offsets are separated within the peaks of the runs in hand.
     let truth = with("voltage_offset", &[0.5]);
     let rival = with("current_offset", &[0.3]);
     let evidence = evidence_of(&truth);
@@ -254,7 +250,7 @@ fn limits_are_kept_and_a_pair_that_they_hide_is_said_to_stay_hidden() {
 }
 
 #[test]
-fn what_no_run_of_a_menu_was_weighed_for_is_not_said_to_show_nothing() {
+fn an_empty_menu_is_no_finding() {
     let run = |seed| testing::record(&nameplate(), held(&[38.0, 55.0], 0.7), PERIOD_S, 2.0, seed);
     let evidence = Evidence::new(run(1), Some(run(2)), None);
     let found = diagnose(&nameplate(), evidence.clone()).unwrap();

@@ -54,7 +54,7 @@ fn r2(maps: &[AxisMap], equation: &str, axis: &str) -> f64 {
     found.unwrap_or_else(|| panic!("no {equation} over {axis}")).r2
 }
 
-/// What explains most: on this axis of this equation, and more than so much.
+/// The map with the largest share: of this axis and equation, and above this share.
 fn leading<'a>(
     found: &'a [AxisMap],
     (equation, axis, least): (&str, &str, f64),
@@ -75,7 +75,7 @@ fn peak(map: &AxisMap) -> usize {
 }
 
 #[test]
-fn a_true_model_leaves_nothing_that_follows_an_axis() {
+fn the_error_of_a_true_model_depends_on_no_axis() {
     let mut all = Vec::new();
     for (seeds, period_s, until_s) in [(0..5, 0.001, 12.0), (0..2, 0.01, 10.0)] {
         for seed in seeds {
@@ -94,7 +94,7 @@ fn a_true_model_leaves_nothing_that_follows_an_axis() {
 }
 
 #[test]
-fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
+fn a_bump_over_the_speed_is_a_curve_with_its_position_and_height() {
     let scenario = run(&torque("a*exp(-((w-118)/15)^2)"), &[0.18], 7, 0.001, 12.0);
     let found = maps(&scenario);
     let first = leading(&found, ("torque", "speed_rad_s", 0.85), "a bump");
@@ -109,7 +109,7 @@ fn a_bump_over_the_speed_shows_as_a_curve_with_its_place_and_height() {
 }
 
 #[test]
-fn each_error_is_put_on_its_own_axis() {
+fn each_error_depends_on_its_own_axis() {
     for (settings, size, equation, axis, least) in [
         (torque("a*abs(w)*w"), 2e-6, "torque", "speed_rad_s", 0.84),
         (torque("a*sin(theta)"), 0.12, "torque", "angle_rad", 0.93),
@@ -157,7 +157,7 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
 }
 
 #[test]
-fn times_count_from_the_begin_of_a_run_whenever_it_was_recorded() {
+fn times_count_from_the_begin_of_a_run() {
     let settings = torque("a*exp(-((t-8)/2)^2)");
     let run = run(&settings, &[0.18], 7, 0.001, 12.0);
     let mut later = run.clone();
@@ -174,6 +174,5 @@ fn times_count_from_the_begin_of_a_run_whenever_it_was_recorded() {
     });
     let (place, _) = first.largest().unwrap();
     assert!((6.0..10.0).contains(place.start()), "{place:?}");
-    let apart = first.knots.iter().zip(&again.knots);
-    assert!(apart.into_iter().all(|(a, b)| (a - b).abs() < 1e-9));
+    assert!(first.knots.iter().zip(&again.knots).all(|(a, b)| (a - b).abs() < 1e-9));
 }

@@ -1,7 +1,7 @@
-//! What the residual leans on: every effect that is a term of an instant beside what an equation lacks, to first order.
+//! Provisional ranking of effects: the share of an equation's residual that each static term explains, to first order.
 //!
-//! A look at a run that is still going on, with a model that is not fitted yet: it costs one simulation and weighs each
-//! effect alone, at the guess of its shape. What it says is provisional; the diagnosis weighs all effects at once.
+//! For a run in progress, with a model that is not fitted: it costs one simulation and regresses the residual on each
+//! effect alone, at the guess of its shape (marginal screening). The diagnosis weighs all effects jointly.
 
 use serde::Serialize;
 
@@ -13,32 +13,32 @@ use drivebench_identify::output_error::FitError;
 use drivebench_model::plant::effect::{CATALOGUE, ParameterRole};
 use drivebench_model::plant::{Balance, Effect, Instant, Model, Scenario, ShaftAngle, Terms};
 
-/// Orders of the angle that are looked for.
+/// Largest order of the angle.
 const ORDERS: usize = 12;
-/// Share of an equation's error that an effect must explain to be named, and by how much it must be ahead of the next.
+/// Share of an equation's error that an effect must explain to be ranked.
 const NAMED_SHARE: f64 = 0.3;
 
 /// One effect and how much of the error it would explain.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Leaning {
+pub struct RankedEffect {
     pub effect: &'static str,
     pub equation: &'static str,
     /// Share of the equation's squared error beyond the noise that follows the effect, beside the equation's own
     /// parameters.
     pub share: f64,
-    /// Windows that it rests on.
+    /// Windows of the regression.
     pub windows: usize,
 }
 
-/// The effects that the error of the worse equation leans on, the one that explains most first; empty where no equation
+/// The effects that explain the error of a failing equation, the largest share first; empty where no equation
 /// fails, or none explains a good part.
-pub fn lean(
+pub fn provisional_ranking(
     model: &Model,
     scenario: &Scenario,
     noise: &NoiseFloor,
-) -> Result<Vec<Leaning>, FitError> {
+) -> Result<Vec<RankedEffect>, FitError> {
     let mut windows = Windows::new(model, scenario, noise, FEWEST_HALF)?;
-    let mut found: Vec<(f64, Leaning)> = Vec::new();
+    let mut found: Vec<(f64, RankedEffect)> = Vec::new();
     if windows.missing_signal().is_some() {
         return Ok(Vec::new());
     }
@@ -58,18 +58,18 @@ pub fn lean(
         for effect in CATALOGUE {
             let share = share(&search, *effect, model, angle.as_deref());
             if let Some(share) = share.filter(|share| *share >= NAMED_SHARE) {
-                let leaning = Leaning {
+                let ranked = RankedEffect {
                     effect: effect.card().id,
                     equation: equation.key(),
                     share,
                     windows: count,
                 };
-                found.push((badness * share.sqrt(), leaning));
+                found.push((badness * share.sqrt(), ranked));
             }
         }
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    Ok(found.into_iter().map(|(_, leaning)| leaning).collect())
+    Ok(found.into_iter().map(|(_, ranked)| ranked).collect())
 }
 
 /// Share of the error that the effect's coefficients explain, each a column at unit size; of an effect of the angle that of
@@ -91,8 +91,7 @@ fn share(
         (true, Some(_)) => ORDERS,
         (false, _) => 1,
     };
-    let coefficients = specs.iter().enumerate();
-    let coefficients = coefficients.filter(|(_, spec)| spec.is_coefficient());
+    let coefficients = specs.iter().enumerate().filter(|(_, spec)| spec.is_coefficient());
     let coefficients: Vec<usize> = coefficients.map(|(index, _)| index).collect();
     let best = (1..=orders).filter_map(|order| {
         let columns = coefficients.iter().map(|unit| {
@@ -163,41 +162,38 @@ fn column(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kit::{nameplate, truth};
     use drivebench_model::plant::testing::{self, with_a_fan};
-    use drivebench_model::plant::{ActiveEffect, Motor, effect};
 
-    fn looked_at(run: &Scenario) -> Vec<Leaning> {
+    fn ranking(run: &Scenario) -> Vec<RankedEffect> {
         let noise = NoiseFloor::from_standstill(run).unwrap();
-        lean(&Model::baseline(Motor::zk_22fc()), run, &noise).unwrap()
+        provisional_ranking(&nameplate(), run, &noise).unwrap()
     }
 
     #[test]
-    fn a_run_with_a_fan_leans_on_the_fan() {
-        let found = looked_at(&with_a_fan(0));
+    fn the_residual_of_a_fan_ranks_the_fan_first() {
+        let found = ranking(&with_a_fan(0));
         let first = &found[0];
         assert_eq!((first.effect, first.equation), ("quadratic_load", "torque"));
         assert!(first.share > 0.9, "{found:?}");
     }
 
     #[test]
-    fn one_that_lacks_nothing_leans_on_nothing() {
+    fn a_complete_model_ranks_no_effect() {
         let events = testing::held([0.0, 0.5, 1.5, 2.5, 3.5], [0.0, 40.0, -30.0, 70.0, -80.0]);
-        let model = Model::baseline(Motor::zk_22fc());
-        let run = testing::record(&model, events, 0.005, 4.5, 3);
-        assert_eq!(looked_at(&run), vec![]);
+        let run = testing::record(&nameplate(), events, 0.005, 4.5, 3);
+        assert_eq!(ranking(&run), vec![]);
     }
 
     #[test]
-    fn a_brush_drop_is_seen_in_the_voltage() {
-        let mut truth = Model::baseline(Motor::zk_22fc());
-        let drop = effect::find("voltage_drop").unwrap();
-        truth.effects.push(ActiveEffect::with(drop, &[1.5]));
+    fn a_brush_drop_is_ranked_in_the_voltage_equation() {
+        let truth = truth("voltage_drop", &[1.5]);
         let steps = (0..30).map(|k| {
             let level = [30.0, -30.0, 60.0, -15.0, 20.0, -70.0][k % 6];
             (0.5 + 0.2 * k as f64, level)
         });
         let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
-        let found = looked_at(&testing::record(&truth, events, 0.002, 6.5, 4));
+        let found = ranking(&testing::record(&truth, events, 0.002, 6.5, 4));
         assert_eq!(found[0].equation, "voltage", "{found:?}");
         let drop = found.iter().find(|own| own.effect == "voltage_drop");
         assert!(drop.unwrap().share > 0.7, "{found:?}");
