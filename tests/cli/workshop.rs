@@ -155,7 +155,7 @@ fn measured_maps_fed_forward_take_a_third_of_the_error() {
     for (text, files, words) in [
         (format!("{speed} --feed-forward-map {{}}"), vec![&maps[0]], "feed-forward is off"),
         (one.clone(), vec![&volts], "header of a friction"),
-        (one, vec![&heavy], "asks for 40.000 N.m"),
+        (one, vec![&heavy], "needs 40.000 N.m"),
         (given, vec![&maps[0], &maps[0]], "a second friction map"),
     ] {
         let files: Vec<&Path> =
