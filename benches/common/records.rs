@@ -26,20 +26,9 @@ pub(crate) fn record(truth: &Model, seed: u64) -> Scenario {
             (k as f64 * PERIOD_S, level_v)
         })
         .collect();
-    let mut scenario = Scenario {
-        name: "12 s".to_owned(),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events,
-        sample_time_s: (0..samples).map(|k| k as f64 * PERIOD_S).collect(),
-        current_a: Vec::new(),
-        speed_rad_s: Vec::new(),
-        angle: Vec::new(),
-        time_half_width_s: Vec::new(),
-        unknown_input: vec![],
-        limits: vec![],
-        scored: 0..samples,
-    };
+    let times = (0..samples).map(|k| k as f64 * PERIOD_S).collect();
+    let mut scenario =
+        Scenario::planned("12 s", Input::Voltage, Channel::VoltageCmd, events, times);
     let truth = Plant::new(truth, Input::Voltage)
         .expect("a complete model")
         .simulate(&scenario, State::default());

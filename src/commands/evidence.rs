@@ -805,7 +805,7 @@ fn recorded_bench(prepared: &Prepared, terminal: &Terminal) -> Option<BenchFile>
     match BenchFile::parse("manifest.json: configs.bench", text) {
         Ok(bench) => Some(bench),
         Err(error) => {
-            terminal.message(&format!("warning: the run's bench is not used: {error}"));
+            terminal.warn(&[format!("the run's bench is not used: {error}")]);
             None
         }
     }

@@ -16,7 +16,7 @@ use crate::runtime::rig::Rig;
 use crate::tui::StoppedAt;
 use crate::workflow::{CommissionResult, Truth};
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile};
-use drivebench_bench::{self as bench, BenchFile, Plan, Stop};
+use drivebench_bench::{self as bench, BenchFile, Plan, Stop, TripKind};
 use drivebench_diagnose::{Comparison, Diagnosis, EffectCurve, ErrorOf, compare, error_curve};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_model::plant::{Input, Model, Motor, Scenario};
@@ -248,15 +248,16 @@ pub(crate) fn stopped_at(prepared: &Prepared) -> Option<StoppedAt> {
     let last: bench::LastSeconds = serde_json::from_value(manifest.trip.clone()).ok()?;
     let at_s = last.time_s - prepared.evidence.training.begin_s();
     let stop = Stop { at_s: Some(at_s), ..stop(manifest)? };
-    let kinds =
-        [("current", Channel::Current), ("circuit", Channel::Current), ("bus", Channel::Bus)];
-    let kind = kinds.into_iter().find(|(name, _)| stop.cause.contains(name));
-    Some(StoppedAt {
-        run: prepared.run.run.name.clone(),
-        at_s,
-        shows: kind.map(|(_, channel)| channel),
-        text: stop.short(),
-    })
+    let shows = stop.trip.and_then(|kind| match kind {
+        TripKind::OverCurrent
+        | TripKind::CurrentStuck
+        | TripKind::CurrentReversed
+        | TripKind::CurrentImplausible
+        | TripKind::OpenCircuit => Some(Channel::Current),
+        TripKind::BusLow | TripKind::BusHigh => Some(Channel::Bus),
+        _ => None,
+    });
+    Some(StoppedAt { run: prepared.run.run.name.clone(), at_s, shows, text: stop.short() })
 }
 
 /// Rate and lateness of a run, and how it was stopped.

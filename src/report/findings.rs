@@ -203,6 +203,7 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
     };
     AxisChart {
         axis: location::axis_label(curve),
+        unit: curve.axis_unit,
         panels: vec![AxisPanel {
             title: location::curve_title(curve),
             height: 210.0,

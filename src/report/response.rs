@@ -66,6 +66,7 @@ pub fn response_chart(compared: &Compared, pathway: Pathway) -> AxisChart {
     };
     AxisChart {
         axis: "frequency, Hz".to_owned(),
+        unit: "Hz",
         is_logarithmic: true,
         panels: vec![
             panel(magnitude, 180.0, magnitude_db, &[], predicted),

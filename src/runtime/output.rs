@@ -65,14 +65,14 @@ impl Messages {
         }
     }
 
-    fn message(&mut self, text: &str) {
+    /// What is collected has no `lead`.
+    fn message(&mut self, lead: &str, text: &str) {
         match &mut self.destination {
-            Destination::Screen(texts) | Destination::Collected(texts) => {
-                texts.push(text.to_owned());
-            }
+            Destination::Collected(texts) => texts.push(text.to_owned()),
+            Destination::Screen(texts) => texts.push(format!("{lead}{text}")),
             Destination::Stderr => {
                 self.wipe();
-                print_rows(text);
+                print_rows(&format!("{lead}{text}"));
             }
         }
     }
@@ -95,7 +95,7 @@ impl Drop for ScreenGuard {
         let held = std::mem::take(&mut messages.destination);
         if let Destination::Screen(texts) = held {
             for text in &texts {
-                messages.message(text);
+                messages.message("", text);
             }
         }
     }
@@ -141,20 +141,20 @@ impl Terminal {
 
     /// A message for the person at the terminal, above the progress line.
     pub fn message(&self, text: &str) {
-        self.messages().message(text);
+        self.messages().message("", text);
     }
 
     /// The same for what would be repeated run after run; `topic` is what is printed once.
     pub(crate) fn message_once(&self, topic: &'static str, text: &str) {
         let mut messages = self.messages();
         if messages.printed_once.insert(topic) {
-            messages.message(text);
+            messages.message("", text);
         }
     }
 
     pub(crate) fn warn(&self, warnings: &[String]) {
         for warning in warnings {
-            self.message(&format!("warning: {warning}"));
+            self.messages().message("warning: ", warning);
         }
     }
 
@@ -326,7 +326,7 @@ mod tests {
         for text in ["third", "not printed"] {
             clone.message_once("topic", text);
         }
-        assert_eq!(terminal.collected(), ["first", "warning: second", "third"]);
+        assert_eq!(terminal.collected(), ["first", "second", "third"]);
         assert!(clone.collected().is_empty());
     }
 }

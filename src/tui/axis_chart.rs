@@ -94,13 +94,9 @@ fn title(chart: &AxisChart, panel: &AxisPanel, cursor: Option<f64>, first: bool)
         line.push_span(Span::styled("  │ 95 %", theme::DIM));
     }
     if let Some(at) = cursor.filter(|_| first && chart.is_logarithmic) {
-        line.push_span(format!("  ┊ {} {}", significant(at, 3), unit(chart)));
+        line.push_span(format!("  ┊ {} {}", significant(at, 3), chart.unit));
     }
     line
-}
-
-fn unit(chart: &AxisChart) -> &str {
-    chart.axis.rsplit(", ").next().unwrap_or_default()
 }
 
 /// The value of a curve at the cursor, with a space before it.
@@ -183,7 +179,7 @@ fn dot(point: &Place, mark: char, style: Style, bounds: Bounds, area: Rect, buff
 
 /// Labels of the axis: both ends and the middle, or as many powers of ten as there is room for.
 fn axis(chart: &AxisChart, spanned: Domain, area: Rect, buffer: &mut Buffer) {
-    let unit = unit(chart);
+    let unit = chart.unit;
     if !chart.is_logarithmic {
         let Domain { from, to } = spanned;
         let labels = [from, f64::midpoint(from, to), to].map(tick);

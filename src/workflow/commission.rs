@@ -45,9 +45,6 @@ pub enum Task {
     Finished,
 }
 
-/// Begin of the line of a tuning without a result.
-const NO_GAINS: &str = "no gains";
-
 /// The commissioning with its data so far.
 pub struct Commission {
     nameplate: Model,
@@ -67,6 +64,8 @@ pub struct Commission {
     escalation: Option<EscalationResult>,
     /// A burst of the first run, and where it is kept.
     burst: Option<(Scenario, String)>,
+    /// Whether the loop could not be tuned.
+    lacks_gains: bool,
     context: CommandContext,
 }
 
@@ -96,6 +95,7 @@ impl Commission {
             truth,
             bench,
             discovery: None,
+            lacks_gains: false,
             context,
         };
         commission.set_step(Step::Connect, StepState::Active, "");
@@ -278,9 +278,10 @@ impl Commission {
         publish(self.progress());
 
         let tuned = self.tuned(&diagnosis);
+        self.lacks_gains = tuned.is_err();
         let line = match &tuned {
             Ok(reasons) => reasons.first().cloned().unwrap_or_default(),
-            Err(reason) => format!("{NO_GAINS}: {reason}"),
+            Err(reason) => format!("no gains: {reason}"),
         };
         self.step_done(Step::Tune, &line, Task::Save);
         publish(self.progress());
@@ -340,14 +341,13 @@ impl Commission {
             _ => Err("none is recommended for these runs"),
         };
         self.offered(Step::Experiment, offer);
-        let tuned = self.steps.iter().find(|step| step.step == Step::Tune);
         let is_unknown = self.bench.motor.is_unknown();
         let refused = self.bench.check_speed("the bench file", "").err();
         let refused = refused.map(|error| error.to_string());
-        let offer = match (tuned, refused.as_deref()) {
+        let offer = match refused.as_deref() {
             _ if is_unknown => Err("write the values that were found into [motor] first"),
-            (Some(step), _) if step.line.starts_with(NO_GAINS) => Err("there are no gains"),
-            (_, Some(refused)) => Err(refused),
+            _ if self.lacks_gains => Err("there are no gains"),
+            Some(refused) => Err(refused),
             _ => Ok("with the identified model"),
         };
         self.offered(Step::SpeedLoop, offer);

@@ -168,20 +168,9 @@ mod simulated {
             given.push((time_s, level));
             acting.push((time_s, level + disturbance));
         }
-        let mut scenario = Scenario {
-            name: format!("axis {seed}"),
-            input: Input::Torque,
-            input_channel: Channel::Torque,
-            events: acting,
-            current_a: vec![f64::NAN; samples],
-            speed_rad_s: vec![],
-            angle: vec![],
-            time_half_width_s: vec![],
-            unknown_input: vec![],
-            limits: vec![],
-            scored: 0..samples,
-            sample_time_s: times.collect(),
-        };
+        let (name, times) = (format!("axis {seed}"), times.collect());
+        let mut scenario = Scenario::planned(name, Input::Torque, Channel::Torque, acting, times);
+        scenario.current_a = vec![f64::NAN; samples];
         let real = with(truth.clone(), &[("cogging", &[0.01 * mess, 0.0, 7.0])]);
         let mut plant = Plant::new(&real, Input::Torque).unwrap();
         let out = plant.simulate(&scenario, State::default()).speed_rad_s;

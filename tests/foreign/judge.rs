@@ -126,25 +126,6 @@ impl<'a> Said<'a> {
             .collect()
     }
 
-    /// What the sentence speaks of as likely, named or not.
-    fn spoken_of(&self) -> Vec<(&'a str, f64)> {
-        let sentence = self.answer["sentence"].as_str().unwrap_or_default();
-        // What is not told from another, or is not shown, is not said to be there.
-        let claims = sentence.split(';').map(str::trim);
-        let claims: Vec<&str> = claims
-            .filter(|part| !part.starts_with("this run does not distinguish"))
-            .filter(|part| !part.starts_with("not shown: "))
-            .filter(|part| !part.starts_with("not confirmed by a refit: "))
-            .collect();
-        let all = self.answer["candidates"].as_array();
-        let all = all.into_iter().flatten().filter_map(|own| {
-            let name = own["effect"].as_str()?;
-            let is_told = claims.iter().any(|part| part.contains(name));
-            is_told.then(|| (name, own["probability"].as_f64().unwrap_or(f64::NAN)))
-        });
-        all.collect()
-    }
-
     fn candidate(&self, name: &str) -> Option<&'a Value> {
         let mut all = self.answer["candidates"].as_array()?.iter();
         all.find(|own| own["effect"] == name)
@@ -178,7 +159,7 @@ struct Judged {
 
 /// Judges an answer; the reason where it is not right.
 fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
-    let (named, spoken_of) = (said.named(), said.spoken_of());
+    let named = said.named();
     let groups = truth.groups();
     let has = |group: &&[&str]| named.iter().any(|(name, _)| group.contains(name));
     let is_named = groups.iter().all(has);
@@ -187,8 +168,8 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
         !has(group) && names.all(|name| said.status(name) == "ruled_out")
     });
     let is_false = |name: &str| !truth.is_true(name) && !said.cannot_tell(name, truth);
-    let mut told = named.iter().chain(&spoken_of);
-    let misnamed = told.find(|(name, probability)| is_false(name) && *probability > CERTAIN);
+    let misnamed =
+        named.iter().find(|(name, probability)| is_false(name) && *probability > CERTAIN);
     let guessed = named.iter().find(|(name, _)| is_false(name));
     let sentence = said.answer["sentence"].as_str().unwrap_or_default();
     let right_if = |is_right: bool| {
@@ -359,18 +340,17 @@ mod tests {
     const OTHER: Truth = Truth::Unknown { akin: &[] };
 
     /// An answer with these effects, each with its probability, that rules out what is `denied`.
-    fn answer(verdict: &str, effects: &[(&str, f64)], denied: &[&str], sentence: &str) -> Value {
+    fn answer(verdict: &str, effects: &[(&str, f64)], denied: &[&str]) -> Value {
         let named = effects
             .iter()
             .map(|(name, p)| json!({ "effect": name, "status": "possible", "probability": p }));
         let denied = denied
             .iter()
             .map(|name| json!({ "effect": name, "status": "ruled_out", "probability": 0.01 }));
-        let spoken_of = [json!({ "effect": "cogging", "status": "possible", "probability": 0.99 })];
-        let candidates: Vec<Value> = named.chain(denied).chain(spoken_of).collect();
+        let candidates: Vec<Value> = named.chain(denied).collect();
         let names: Vec<&str> = effects.iter().map(|(name, _)| *name).collect();
         json!({
-            "verdict": verdict, "effects": names, "sentence": sentence, "sufficient": true,
+            "verdict": verdict, "effects": names, "sentence": "", "sufficient": true,
             "candidates": candidates, "confusable": [["field_change", "viscous_friction"]]
         })
     }
@@ -379,26 +359,24 @@ mod tests {
     fn answers_are_right_wrong_or_honest() {
         use Judgement::{Honest, Right, Wrong};
         const BOTH: &[&str] = &["viscous_friction", "quadratic_load"];
-        let of = |verdict, name, p| answer(verdict, &[(name, p)], &[], "");
-        let open = |verdict, sentence| answer(verdict, &[], &[], sentence);
+        let of = |verdict, name, p| answer(verdict, &[(name, p)], &[]);
+        let open = |verdict| answer(verdict, &[], &[]);
         let cases = [
             (&DRAG, of("effect", "quadratic_load", 0.99), Right, false),
             (&DRAG, of("effect", "stribeck_friction", 0.99), Honest, false),
             (&DRAG, of("effect", "voltage_drop", 0.99), Wrong, true),
             (&DRAG, of("effect", "voltage_drop", 0.6), Wrong, false),
             (&DRAG, of("ambiguous", "field_change", 0.99), Honest, false),
-            (&DRAG, open("none", ""), Wrong, false),
-            (&DRAG, open("not_fitted", ""), Honest, false),
-            (&DRAG, answer("unexplained", &[], &BOTH[..1], ""), Honest, false),
-            (&DRAG, answer("unexplained", &[], BOTH, ""), Wrong, false),
-            (&NOTHING, open("none", ""), Right, false),
-            (&NOTHING, open("none", "a; possible: cogging (99 %)"), Wrong, true),
-            (&NOTHING, open("none", "a; not shown: cogging"), Right, false),
-            (&NOTHING, open("unexplained", ""), Honest, false),
-            (&OTHER, open("unexplained", ""), Right, false),
+            (&DRAG, open("none"), Wrong, false),
+            (&DRAG, open("not_fitted"), Honest, false),
+            (&DRAG, answer("unexplained", &[], &BOTH[..1]), Honest, false),
+            (&DRAG, answer("unexplained", &[], BOTH), Wrong, false),
+            (&NOTHING, open("none"), Right, false),
+            (&NOTHING, open("unexplained"), Honest, false),
+            (&OTHER, open("unexplained"), Right, false),
             (&OTHER, of("unexplained", "cogging", 0.99), Wrong, true),
             (&OTHER, of("unexplained", "constant_load", 0.6), Right, false),
-            (&OTHER, open("", ""), Wrong, false),
+            (&OTHER, open(""), Wrong, false),
         ];
         for (truth, answer, judgement, is_misnamed) in cases {
             let judged = judged(truth, &Said { answer: &answer });

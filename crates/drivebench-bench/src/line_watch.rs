@@ -16,8 +16,8 @@ const QUIET_S: f64 = 10.0;
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LineReport {
     pub(super) event: &'static str,
-    /// Frames, or achieved Hz.
-    pub(super) figure: f64,
+    /// Frames, or achieved Hz, and the key of it in the event.
+    pub(super) figure: (&'static str, f64),
     pub(super) notice: Notice,
 }
 
@@ -143,7 +143,7 @@ impl LineWatch {
                 (Level::Warning, "rate_lost", text)
             }
         };
-        Some(LineReport { event, figure: achieved_hz, notice: Notice { level, text } })
+        Some(LineReport { event, figure: ("achieved_hz", achieved_hz), notice: Notice { level, text } })
     }
 
     /// Clears the exchanges of a finished run.
@@ -201,7 +201,7 @@ impl Alarm {
         } else {
             return None;
         };
-        Some(LineReport { event, figure: frames as f64, notice: Notice { level, text } })
+        Some(LineReport { event, figure: ("frames", frames as f64), notice: Notice { level, text } })
     }
 }
 
@@ -246,6 +246,6 @@ mod tests {
         let text = &reports[0].notice.text;
         has(text, "of 50 Hz");
         has(text, "silences and probes");
-        assert!((40.0..45.1).contains(&reports[0].figure), "{reports:?}");
+        assert!((40.0..45.1).contains(&reports[0].figure.1), "{reports:?}");
     }
 }

@@ -192,19 +192,11 @@ fn raise(peak: &mut f64, value: f64) {
 /// The response at these instants, from the start on, to voltages that the caller sets: zero first.
 pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
     let count = sample_time_s.len();
+    let (input, channel, events) = (Input::Voltage, Channel::VoltageCmd, vec![(0.0, 0.0)]);
     Scenario {
-        name: name.to_owned(),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events: vec![(0.0, 0.0)],
-        sample_time_s,
         current_a: vec![f64::NAN; count],
         speed_rad_s: vec![f64::NAN; count],
-        angle: Vec::new(),
-        time_half_width_s: Vec::new(),
-        unknown_input: vec![],
-        limits: vec![],
-        scored: 0..count,
+        ..Scenario::planned(name, input, channel, events, sample_time_s)
     }
 }
 

@@ -25,6 +25,7 @@ use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing, whole};
+use super::trip::{Trip, TripKind};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use drivebench_identify::online::Frozen;
 use drivebench_link::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
@@ -492,8 +493,7 @@ impl Runner<'_> {
         } else {
             self.watch.reset();
         }
-        for LineReport { event, figure, notice } in reports {
-            let key = if event.starts_with("rate") { "achieved_hz" } else { "frames" };
+        for LineReport { event, figure: (key, figure), notice } in reports {
             if event == FOREIGN_WRITES {
                 self.inputs.push_back(Input::OtherMaster(line.foreign_writes));
             }
@@ -589,14 +589,17 @@ impl Runner<'_> {
     }
 }
 
-fn cause(session: &Session) -> &'static str {
+fn cause(session: &Session) -> (&'static str, Option<TripKind>) {
+    let of_trip = |trip: &Trip| (trip.kind.name(), Some(trip.kind));
     match (session.ending(), session.guard().tripped()) {
-        (Some(Outcome::Done), _) => "the end of the sequence",
-        (Some(Outcome::Interrupted), _) => "the interruption",
-        (Some(Outcome::Tripped(trip)), _) => trip.kind.name(),
-        (Some(Outcome::LinkLost { .. }), Some(trip)) if trip.kind.is_link() => trip.kind.name(),
-        (Some(Outcome::LinkLost { .. }), _) => "the loss of the link",
-        (Some(Outcome::Stopped | Outcome::NotStarted { .. }) | None, _) => "the request to stop",
+        (Some(Outcome::Done), _) => ("the end of the sequence", None),
+        (Some(Outcome::Interrupted), _) => ("the interruption", None),
+        (Some(Outcome::Tripped(trip)), _) => of_trip(trip),
+        (Some(Outcome::LinkLost { .. }), Some(trip)) if trip.kind.is_link() => of_trip(trip),
+        (Some(Outcome::LinkLost { .. }), _) => ("the loss of the link", None),
+        (Some(Outcome::Stopped | Outcome::NotStarted { .. }) | None, _) => {
+            ("the request to stop", None)
+        }
     }
 }
 

@@ -6,6 +6,7 @@ use std::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 
 use super::session::Phase;
+use super::trip::TripKind;
 use drivebench_link::LinkError;
 
 /// The stop of a run whose output was on. Times count from the decision that the output has to be zero: for a value beyond its
@@ -13,6 +14,9 @@ use drivebench_link::LinkError;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Stop {
     pub cause: String,
+    /// The trip that decided it; null: another cause.
+    #[serde(default)]
+    pub trip: Option<TripKind>,
     /// The decision, from the start of the run, s.
     #[serde(default)]
     pub at_s: Option<f64>,
@@ -84,7 +88,7 @@ pub(super) struct StopWatch {
     began_s: Option<f64>,
     ramp_s: Option<f64>,
     decided_s: Option<f64>,
-    cause: &'static str,
+    cause: (&'static str, Option<TripKind>),
     sent_s: Option<f64>,
     confirmed_s: Option<f64>,
     attempts: u64,
@@ -104,7 +108,7 @@ impl StopWatch {
         now_s: f64,
         phase: Phase,
         drive_minus_host_s: f64,
-        cause: impl FnOnce() -> &'static str,
+        cause: impl FnOnce() -> (&'static str, Option<TripKind>),
     ) {
         self.was_on |= phase.is_energised();
         if !self.was_on {
@@ -173,7 +177,8 @@ impl StopWatch {
         let decided_s = self.decided_s?;
         let after_ms = |at_s: f64| 1e3 * (at_s - decided_s).max(0.0);
         Some(Stop {
-            cause: self.cause.to_owned(),
+            cause: self.cause.0.to_owned(),
+            trip: self.cause.1,
             at_s: self.began_s.map(|began_s| decided_s - began_s),
             ramp_ms: self.ramp_s.map(|ramp_s| 1e3 * (decided_s - ramp_s)),
             sent_after_ms: self.sent_s.map(after_ms),
@@ -205,20 +210,20 @@ mod tests {
     fn a_stop_is_timed_from_its_decision() {
         let mut watch = StopWatch::default();
         assert_eq!(watch.stop(None), None);
-        watch.phase(0.0, Phase::Running, 5.0, || "nothing");
+        watch.phase(0.0, Phase::Running, 5.0, || ("nothing", None));
         for k in 0..500_u32 {
             watch.rows(std::iter::once(5.0 + 0.01 * f64::from(k)));
         }
-        watch.phase(4.995, Phase::Stopping, 5.0, || "over-current");
+        watch.phase(4.995, Phase::Stopping, 5.0, || ("over-current", Some(TripKind::OverCurrent)));
         // A later finding is not the cause.
-        watch.phase(5.0, Phase::LinkLost, 5.0, || "the loss of the link");
+        watch.phase(5.0, Phase::LinkLost, 5.0, || ("the loss of the link", None));
         watch.requested(4.996, false);
         watch.requested(5.005, true);
         watch.rows([10.01, 10.02].into_iter());
         watch.confirmed(5.020);
         watch.requested(5.1, true);
         let stop = watch.stop(Some(0.2)).unwrap();
-        assert_eq!(stop.attempts, 2);
+        assert_eq!((stop.attempts, stop.trip), (2, Some(TripKind::OverCurrent)));
         assert_eq!(stop.short(), "stopped: over-current at 5.00 s, zero confirmed after 25 ms");
         assert_eq!(
             stop.sentence(),
@@ -244,8 +249,8 @@ mod tests {
     #[test]
     fn the_ramp_counts_apart_and_an_unsent_request_is_named() {
         let mut watch = StopWatch::default();
-        watch.phase(1.0, Phase::RampDown, 0.0, || "nothing");
-        watch.phase(1.5, Phase::Stopping, 0.0, || "the end");
+        watch.phase(1.0, Phase::RampDown, 0.0, || ("nothing", None));
+        watch.phase(1.5, Phase::Stopping, 0.0, || ("the end", None));
         watch.requested(1.5, false);
         let stop = watch.stop(None).unwrap();
         assert_eq!((stop.ramp_ms, stop.sent_after_ms), (Some(500.0), None));

@@ -246,8 +246,8 @@ impl Evidence {
     fn shorten_split(&mut self, most: usize) -> Option<Cut> {
         let mut whole = self.holdout.clone();
         whole.scored = 0..whole.samples();
-        if let Some((name, _)) = self.training.name.rsplit_once(" (first") {
-            name.clone_into(&mut whole.name);
+        if let Some(name) = whole.part_of.pop() {
+            whole.name = name;
         }
         let cut = shorten(&mut whole, most, LongRun::Only);
         if cut.is_some() {

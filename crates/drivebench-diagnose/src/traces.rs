@@ -211,10 +211,9 @@ impl RecordedChannels {
     }
 
     /// The channels that a run has beside `known`.
-    fn beside(&self, run: &str, known: &[SignalTrace]) -> impl Iterator<Item = SignalTrace> {
-        // The name of a part begins with that of its run.
-        let mut runs = self.runs.iter();
-        let own = runs.find(|(name, _)| run == name || run.starts_with(&format!("{name} (")));
+    fn beside(&self, run: &Scenario, known: &[SignalTrace]) -> impl Iterator<Item = SignalTrace> {
+        let recorded = run.part_of.first().unwrap_or(&run.name);
+        let own = self.runs.iter().find(|(name, _)| name == recorded);
         let signals = own.into_iter().flat_map(|(_, signals)| signals);
         let is_new =
             |signal: &&SignalTrace| known.iter().all(|own| own.quantity != signal.quantity);
@@ -256,14 +255,13 @@ impl Traces {
             if run.input == Input::Voltage {
                 signals.push(command(run));
             }
-            let others: Vec<SignalTrace> = recorded.beside(&run.name, &signals).collect();
+            let others: Vec<SignalTrace> = recorded.beside(run, &signals).collect();
             signals.extend(others);
             let begins = run.sample_time_s.get(run.scored.start).map(since);
-            // A split run is shown whole, not the part in its name.
-            let whole = run.name.rsplit_once(" (last").map(|(whole, _)| whole);
-            let name = whole.filter(|_| is_split).unwrap_or(&run.name);
+            // A split run is shown whole.
+            let whole = run.part_of.last().filter(|_| part == Part::Split);
             Ok(RunTraces {
-                run: name.to_owned(),
+                run: whole.unwrap_or(&run.name).clone(),
                 part,
                 held_out_from_s: begins.filter(|_| part == Part::Split),
                 signals,

@@ -65,20 +65,7 @@ pub(super) fn driven(
     events: Vec<(f64, f64)>,
     sample_time_s: Vec<f64>,
 ) -> Scenario {
-    Scenario {
-        name,
-        input: Input::Voltage,
-        input_channel,
-        events,
-        scored: 0..sample_time_s.len(),
-        sample_time_s,
-        current_a: vec![],
-        speed_rad_s: vec![],
-        angle: vec![],
-        time_half_width_s: vec![],
-        unknown_input: vec![],
-        limits: vec![],
-    }
+    Scenario::planned(name, Input::Voltage, input_channel, events, sample_time_s)
 }
 
 /// What the plant does under them.

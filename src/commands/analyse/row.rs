@@ -178,7 +178,6 @@ impl Columns {
         let of_run = about.into_iter().flat_map(|about| &about.notes);
         let known = of_run.chain(one.into_iter().flat_map(|one| &one.notes)).cloned();
         for note in known.chain(messages) {
-            let note = note.strip_prefix("warning: ").map(str::to_owned).unwrap_or(note);
             if !notes.contains(&note) {
                 notes.push(note);
             }

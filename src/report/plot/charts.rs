@@ -52,7 +52,9 @@ pub fn bars(
 /// current, angle or time; a frequency response.
 #[derive(Clone, Debug, Default)]
 pub struct AxisChart {
+    /// The variable with its unit.
     pub axis: String,
+    pub unit: &'static str,
     pub is_logarithmic: bool,
     pub panels: Vec<AxisPanel>,
     /// Names and places on the axis that a line marks in all panels.
@@ -414,6 +416,7 @@ mod tests {
             };
             AxisChart {
                 axis: "frequency, Hz".to_owned(),
+                unit: "Hz",
                 is_logarithmic: true,
                 panels: vec![panel],
                 marks: vec![("resonance".to_owned(), 5.0)],

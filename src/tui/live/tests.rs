@@ -167,6 +167,7 @@ fn tripped() -> Snapshot {
         outcome: Some("tripped"),
         stop: Some(Stop {
             cause: "over-current".to_owned(),
+            trip: Some(TripKind::OverCurrent),
             at_s: Some(8.4),
             ramp_ms: None,
             sent_after_ms: Some(0.1),

@@ -401,19 +401,11 @@ fn blank(recipe: &Recipe, period_s: f64) -> Option<Scenario> {
             events.push((time_s, voltage_v));
         }
     }
+    let (input, channel) = (Input::Voltage, Channel::VoltageCmd);
     Some(Scenario {
-        name: recipe.id.to_owned(),
-        input: Input::Voltage,
-        input_channel: Channel::VoltageCmd,
-        events,
         current_a: vec![0.0; rows],
         speed_rad_s: vec![0.0; rows],
-        angle: Vec::new(),
-        time_half_width_s: Vec::new(),
-        unknown_input: vec![],
-        limits: vec![],
-        scored: 0..rows,
-        sample_time_s: times,
+        ..Scenario::planned(recipe.id, input, channel, events, times)
     })
 }
 

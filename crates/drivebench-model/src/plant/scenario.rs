@@ -60,6 +60,8 @@ impl ScenarioError {
 #[derive(Clone, Debug)]
 pub struct Scenario {
     pub name: String,
+    /// Names of the runs that it is a part of, the recorded one first; empty for a whole run.
+    pub part_of: Vec<String>,
     pub input: Input,
     pub input_channel: Channel,
     /// `(time, value)`, held until the next; strictly increasing.
@@ -102,6 +104,7 @@ impl Scenario {
     ) -> Self {
         Self {
             name: name.into(),
+            part_of: Vec::new(),
             input,
             input_channel,
             events,
@@ -315,11 +318,17 @@ impl Scenario {
         mean_step(&self.sample_time_s)
     }
 
+    /// The names of its runs and its own, for a part of it.
+    fn within(&self) -> Vec<String> {
+        [&*self.part_of, std::slice::from_ref(&self.name)].concat()
+    }
+
     /// Split of one run into training and hold-out: the first part, and the whole with only its last part scored. The hold-out is
     /// simulated from the start, so that it needs no initial state.
     pub fn split(&self, training_share: f64) -> (Self, Self) {
         let cut = whole((self.samples() as f64 * training_share).round());
-        let (mut training, mut holdout) = (self.clone(), self.clone());
+        let whole = Self { part_of: self.within(), ..self.clone() };
+        let (mut training, mut holdout) = (whole.clone(), whole);
         let share = 100.0 * training_share;
         training.name = format!("{} (first {share:.0} %)", self.name);
         for column in [
@@ -371,6 +380,7 @@ impl Scenario {
             time_half_width_s: part(&self.time_half_width_s),
             unknown_input,
             limits,
+            part_of: self.within(),
             ..Self::planned(name, input, channel, events, times)
         }
     }
