@@ -8,6 +8,7 @@ use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, prepare};
+use crate::report::wording::sanity as words;
 use crate::runtime::ending::Audience;
 use crate::runtime::failure::Failure;
 use crate::runtime::files::require_parquet;
@@ -79,7 +80,9 @@ impl MapArguments {
             sanity::of_header(target, &item.header, item.scaled)
         });
         if let Some(finding) = finding {
-            return Err(Failure::usage(finding.sentence, finding.help));
+            let (headline, help) =
+                (words::fault(&finding.fault), words::help(&finding.fault, words::MAP));
+            return Err(Failure::usage(headline, help));
         }
         let mut loaded = load(path, map.as_ref(), terminal)?;
         if let Some(provenance) = &self.origin {

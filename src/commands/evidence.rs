@@ -14,6 +14,7 @@ use serde_json::{Map, Value, json};
 use crate::report::wording::limits::{last_part, set_aside};
 use crate::report::wording::next_run::next_run;
 use crate::report::wording::versus::motor_match;
+use crate::report::wording::{json as found_json, sanity as words};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text};
 use crate::runtime::output;
@@ -476,10 +477,9 @@ impl Judge<'_> {
         let findings = sanity::examine(run, scenario, self.model);
         if let Some(finding) = findings.iter().find(|finding| finding.refuses) {
             let is_of_map = matches!(finding.kind, Kind::Unit | Kind::Swapped | Kind::Reversed);
-            let help = finding.help.replace("--map ", "--map-holdout ");
-            let help =
-                if is_of_map && !help.is_empty() { format!("; {help}") } else { String::new() };
-            return Some((format!("{}{help}", finding.sentence), true));
+            let help = is_of_map.then(|| words::help(&finding.fault, "--map-holdout"));
+            let help = help.map_or_else(String::new, |help| format!("; {help}"));
+            return Some((words::fault(&finding.fault) + &help, true));
         }
         let (model, fitted) = (self.model, self.fitted);
         let of_fitted = *self.fingerprint.get_or_init(|| fingerprint(model, fitted));
@@ -641,14 +641,14 @@ pub(crate) fn before_identify(
         "rows_dropped": run.rows_dropped,
         "input": scenario.input_channel.key(),
         "signals": signals(run),
-        "findings": findings,
+        "findings": found_json::sanity(&findings),
         "notes": notes(run, &findings),
     });
     if json {
         terminal.result(&value, true, |_| String::new())?;
     }
     let others = findings.iter().filter(|finding| *finding != refusal);
-    terminal.warn(&others.map(|other| other.sentence.clone()).collect::<Vec<_>>());
+    terminal.warn(&others.map(|other| words::fault(&other.fault)).collect::<Vec<_>>());
     let what = match require {
         [] => "nothing".to_owned(),
         keys => keys.join(", "),
@@ -683,20 +683,19 @@ fn before_judging(
 
 fn cannot_identify(what: &str, refusal: &Finding) -> Failure {
     let can = if what == "nothing" { "can" } else { "cannot" };
-    let headline = format!("{what} {can} be identified: {}", refusal.sentence);
-    Failure::not_identifiable(headline, &refusal.help)
+    let headline = format!("{what} {can} be identified: {}", words::fault(&refusal.fault));
+    Failure::not_identifiable(headline, words::help(&refusal.fault, words::MAP))
 }
 
 fn notes(run: &Run, findings: &[Finding]) -> Vec<String> {
-    let found = findings.iter().map(|finding| finding.sentence.clone());
+    let found = findings.iter().map(|finding| words::fault(&finding.fault));
     run.notes.iter().cloned().chain(found).collect()
 }
 
 fn caution(run: &mut Run, findings: &[Finding], terminal: &Terminal) {
-    for finding in findings {
-        let help =
-            if finding.help.is_empty() { String::new() } else { format!("; {}", finding.help) };
-        terminal.warn(&[format!("{}{help}", finding.sentence)]);
+    for (finding, help) in findings.iter().zip(words::helps(findings)) {
+        let help = if help.is_empty() { help } else { format!("; {help}") };
+        terminal.warn(&[words::fault(&finding.fault) + &help]);
     }
     run.notes = notes(run, findings);
 }
@@ -713,7 +712,7 @@ fn not_identified(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEst
             verdict: Verdict::Fixed,
             reason: None,
         },
-        _ => ParameterEstimate::not_observable(&key, slot.unit(), refusal.sentence.clone()),
+        _ => ParameterEstimate::not_observable(&key, slot.unit(), words::fault(&refusal.fault)),
     }
 }
 

@@ -12,7 +12,7 @@ use crate::commands::cards;
 use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
 use crate::report::wording::change::along;
-use crate::report::wording::json;
+use crate::report::wording::{json, sanity as words};
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
 use crate::runtime::output::{self, Terminal};
@@ -359,12 +359,12 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
         departure.limit(&mut found.parameters);
         found.notes.push(departure.sentence());
     }
-    sanity::doubt(&mut found.parameters, findings);
+    sanity::doubt(&mut found.parameters, findings, words::fault);
     for open in found.parameters.iter_mut().filter(|own| own.value.is_none()) {
         // A fault of a signal may be the only reason.
         let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
         if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
-            *reason = format!("{}; {reason}", finding.sentence);
+            *reason = format!("{}; {reason}", words::fault(&finding.fault));
         }
     }
     let limits = claims::limit(&mut found.parameters, run, scenario);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::report::wording::times;
+use crate::report::wording::{sanity as words, times};
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use crate::runtime::output::{self, Terminal};
@@ -35,8 +35,9 @@ pub(crate) fn load(
 pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<LoadedRun, Failure> {
     let before = loaded.run.notes.len();
     if loaded.manifest.is_none() {
-        for sentence in sanity::mask(&mut loaded.run) {
-            loaded.run.notes.push(format!("{}: {sentence}", loaded.run.name));
+        for masked in sanity::mask(&mut loaded.run) {
+            let reason = words::masked(&masked);
+            loaded.run.notes.push(format!("{}: {reason}", loaded.run.name));
         }
     }
     loaded.run = speed_from_angle::complete(&loaded.run)

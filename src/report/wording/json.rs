@@ -4,13 +4,15 @@ use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use super::{
-    candidate, change, diagnosis, drift, limits, location, nameplate, next_run, probe, versus,
+    candidate, change, diagnosis, drift, limits, location, nameplate, next_run, probe, sanity,
+    versus,
 };
 use drivebench_diagnose::{
     AddResult, Comparison, Diagnosis, FailureLocation, Limit, NextExperiment, Versus,
 };
 use drivebench_identify::drift::Drift;
 use drivebench_identify::nameplate::Comparison as Nameplate;
+use drivebench_identify::sanity::Finding;
 use drivebench_link::ProbeReport;
 
 /// The form by its own serialiser.
@@ -112,6 +114,16 @@ pub fn drift(found: &Drift) -> Value {
     }
     each(&mut value["not_compared"], &found.not_compared, "reason", drift::not_compared);
     value
+}
+
+pub fn sanity(found: &[Finding]) -> Value {
+    let mut list = own(&found);
+    each(&mut list, found, "sentence", |finding| sanity::fault(&finding.fault));
+    let values = list.as_array_mut().into_iter().flatten();
+    for (value, help) in values.zip(sanity::helps(found)) {
+        value["help"] = help.into();
+    }
+    list
 }
 
 pub fn probe(found: &ProbeReport) -> Value {

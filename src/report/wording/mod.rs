@@ -16,12 +16,13 @@ pub mod nameplate;
 pub mod next_run;
 pub mod probe;
 pub mod residual;
+pub mod sanity;
 pub mod versus;
 
 use drivebench_diagnose as diagnose;
 use drivebench_identify::balance::Derivation;
 use drivebench_identify::noise::FloorSource;
-use drivebench_identify::{drift as drifts, nameplate as plates};
+use drivebench_identify::{drift as drifts, nameplate as plates, sanity as faults};
 
 /// The unit of a multiple of the noise; without a noise floor, of the baseline's residual.
 pub const fn times(source: FloorSource) -> &'static str {
@@ -66,4 +67,7 @@ pub const CODES: &[(&str, &[&str])] = &[
     ("nameplate: rows", plates::RowFinding::CODES),
     ("nameplate: cause_codes", plates::NameplateCause::CODES),
     ("nameplate: doubt_code", plates::NameplateDoubt::CODES),
+    ("findings: a signal", faults::SignalFault::CODES),
+    ("findings: the assignment of columns", faults::ColumnFault::CODES),
+    ("findings: a unit", faults::UnitFault::CODES),
 ];

@@ -1,7 +1,7 @@
 //! Exchanged columns and reversed signs: both balances under every other assignment.
 
 use super::table::{Activity, Balances, Roles, Table};
-use super::{Finding, Kind};
+use super::{ColumnFault, Finding, Kind, Mapping};
 use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
@@ -9,8 +9,6 @@ const EXPLAINS: f64 = 0.35;
 /// Error of each balance up to which another assignment may be proposed: exchanged columns of a valid record have an
 /// error of some per cent, and of up to a sixth at a period near the mechanical time constant.
 const HOLDS_WELL: f64 = 0.2;
-/// Names of the three columns, in the order of the table.
-const NAMES: [&str; 3] = ["voltage", "current", "speed"];
 
 pub(super) struct Assigned {
     /// Another assignment explains the data, the given one does not.
@@ -44,16 +42,10 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
         .filter(|(_, found)| found.error() < share * given.error() && !explains_most_parts(table));
     Some(Assigned {
         exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
-        impossible: impossible.map(|(name, value)| {
-            let sentence = format!(
-                "the balances of voltage and torque give {name} of {value:.3e}, which no motor has, and no exchange of \
-                 columns or signs mends it (they leave {:.0} % and {:.0} % unexplained)",
-                100.0 * given.voltage_error,
-                100.0 * given.torque_error
-            );
-            let help = "check columns, signs and units of voltage, current and speed; a supply current is not the armature current";
+        impossible: impossible.map(|coefficient| {
+            let fault = ColumnFault::Impossible { coefficient, left: left(&given) };
             // A small error with an impossible sign is proof; a large one may also be a missing effect.
-            Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, sentence, help)
+            Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, fault)
         }),
     })
 }
@@ -94,16 +86,15 @@ const ASSIGNMENTS: [Assignment; 8] = [
 ];
 
 /// The balances with the voltage of a supply, which the bridge chops: they give no parameter of the winding.
-fn of_a_supply(table: &Table, (name, value): (&str, f64)) -> Finding {
-    let voltage = Activity::of(&table.voltage_v);
-    let sentence = format!(
-        "{} stays between {:.4} and {:.4} V whatever the motor does, as that of a supply, and with it the balances give {name} of \
-         {value:.3e}: it is not the voltage at the motor's terminals",
-        table.voltage_key, voltage.least, voltage.most
-    );
-    let help = "map duty times supply, as voltage_v=DUTY*BUS, or map torque_n_m and the speed alone; a current taken at the supply is \
-                declared by --origin current_a=supply";
-    Finding::caution(Kind::Reversed, &MotorKey::ALL, sentence, help)
+fn of_a_supply(table: &Table, coefficient: (MotorKey, f64)) -> Finding {
+    let volts = Activity::of(&table.voltage_v).extent();
+    let fault = ColumnFault::OfSupply { voltage: table.voltage_key, volts, coefficient };
+    Finding::of_all(Kind::Reversed, false, fault)
+}
+
+/// Shares of voltage and current that stay unexplained.
+const fn left(found: &Balances) -> [f64; 2] {
+    [found.voltage_error, found.torque_error]
 }
 
 impl Assignment {
@@ -129,45 +120,18 @@ impl Assignment {
     }
 
     fn finding(&self, table: &Table, given: &Balances, found: &Balances) -> Finding {
-        let keys = [table.voltage_key, "current_a", "speed_rad_s"];
-        let moved: Vec<usize> = (0..3).filter(|role| self.place[*role] != *role).collect();
-        let reversed = self.reversed();
-        let (kind, what) = match (moved.as_slice(), reversed) {
-            ([], Some(role)) => {
-                (Kind::Reversed, format!("the sign of the {} is reversed", NAMES[role]))
-            }
-            ([first, second], _) => {
-                (Kind::Swapped, format!("{} and {} are swapped", NAMES[*first], NAMES[*second]))
-            }
-            _ => (
-                Kind::Swapped,
-                "voltage, current and speed stand in each other's columns".to_owned(),
-            ),
+        let mapping = Mapping {
+            keys: [table.voltage_key, "current_a", "speed_rad_s"],
+            place: self.place,
+            reversed: self.reversed(),
+            impossible: given.impossible(),
+            left: [left(given), left(found)],
         };
-        let why = match given.impossible() {
-            Some((name, value)) => format!("as mapped, the balances give {name} of {value:.3e}"),
-            None => format!(
-                "as mapped, the balances leave {:.0} % of the voltage and {:.0} % of the current unexplained",
-                100.0 * given.voltage_error,
-                100.0 * given.torque_error
-            ),
-        };
-        let map: Vec<String> = (0..3)
-            .filter(|role| self.place[*role] != *role || reversed == Some(*role))
-            .map(|role| {
-                let sign = if reversed == Some(role) { "*-1" } else { "" };
-                format!("{}=(column of {}){sign}", keys[role], keys[self.place[role]])
-            })
-            .collect();
-        Finding::refusal(
-            kind,
-            format!(
-                "it seems that {what}: {why}; the other way round they leave {:.0} % and {:.0} %, with every parameter positive",
-                100.0 * found.voltage_error,
-                100.0 * found.torque_error
-            ),
-            format!("map them as --map {}", map.join(",")),
-        )
+        if mapping.reversed.is_some() && self.place == [0, 1, 2] {
+            Finding::refusal(Kind::Reversed, ColumnFault::SignReversed(mapping))
+        } else {
+            Finding::refusal(Kind::Swapped, ColumnFault::Exchanged(mapping))
+        }
     }
 
     /// The one role whose sign is to be turned; current and speed both turned is the voltage turned.

@@ -2,7 +2,7 @@
 //! it is logged, and rows in which the whole telemetry was frozen.
 //!
 //! ```text
-//! Run --> codes (-9999, all ones, zero between two values) --> telemetry that froze --> repeats --> Run, a sentence for each
+//! Run --> codes (-9999, all ones, zero between two values) --> telemetry that froze --> repeats --> Run, a finding for each
 //! ```
 
 use std::ops::Range;
@@ -10,28 +10,28 @@ use std::ops::Range;
 use super::sensor::{Sensor, is_same, runs_of, stops_suddenly, stretches};
 use super::stretches::FROZEN_ROWS;
 use super::table::span;
-use super::{CLOSE_S, rows_of};
+use super::{CLOSE_S, Masked};
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
 use drivebench_model::sample::{Channel, Run};
 
-/// Masks cells that are no measurement; returns a sentence with the reason for each kind.
-pub fn mask(run: &mut Run) -> Vec<String> {
-    let mut sentences = Vec::new();
+/// Masks cells that are no measurement; returns the reason for each kind.
+pub fn mask(run: &mut Run) -> Vec<Masked> {
+    let mut found = Vec::new();
     for channel in CHANNELS {
         // Two different codes in one column are rare; three are not expected.
         for _ in 0..3 {
-            let Some((rows, sentence)) = code(run, channel) else {
+            let Some((rows, code)) = code(run, channel) else {
                 break;
             };
             empty(run, channel, rows);
-            sentences.push(sentence);
+            found.push(code);
         }
     }
-    sentences.extend(frozen_telemetry(run));
+    found.extend(frozen_telemetry(run));
     for channel in MEASURED {
-        sentences.extend(repeats(run, channel));
+        found.extend(repeats(run, channel));
     }
-    sentences
+    found
 }
 
 const CHANNELS: [Channel; 6] = [
@@ -77,8 +77,8 @@ fn is_figure(value: f64) -> bool {
     })
 }
 
-/// The rows of a code in a column, and a sentence on it.
-fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
+/// The rows of a code in a column, and its finding.
+fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, Masked)> {
     let cells = run.column(channel)?;
     let (least, most) = extent(finite(cells));
     let found = [least, most]
@@ -89,21 +89,10 @@ fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, String)> {
     let (value, rows) = found?;
     let first_s = run.time_s()[rows[0]];
     let others = (0..cells.len()).filter(|row| !is_same(cells[*row], value));
-    let (least, most) = extent(finite(&others.map(|row| cells[row]).collect::<Vec<_>>()));
+    let others = extent(finite(&others.map(|row| cells[row]).collect::<Vec<_>>()));
     let count = rows.len();
-    let why = if value.abs() > 0.0 {
-        format!(", far from all others ({least:.4} to {most:.4})")
-    } else {
-        " between values that agree and are far from it: no machine moves like that".to_owned()
-    };
-    let sentence = format!(
-        "{} reads exactly {value} in {count} {} of {} (first at {first_s:.4} s){why}: it stands for a missing value, and the \
-         cells are taken as missing",
-        channel.key(),
-        rows_of(count),
-        cells.len()
-    );
-    Some((rows, sentence))
+    let code = Masked::Code { channel, value, rows: count, of: cells.len(), first_s, others };
+    Some((rows, code))
 }
 
 /// The rows of the least or the largest value where it is a code.
@@ -182,7 +171,7 @@ fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
 }
 
 /// Rows in which every signal stands still to the bit, one of them from the midst of its noise.
-fn frozen_telemetry(run: &mut Run) -> Option<String> {
+fn frozen_telemetry(run: &mut Run) -> Option<Masked> {
     let columns = CHANNELS.into_iter();
     let columns: Vec<(Channel, &[f64])> =
         columns.filter_map(|channel| Some((channel, run.column(channel)?))).collect();
@@ -209,26 +198,18 @@ fn frozen_telemetry(run: &mut Run) -> Option<String> {
     let first = still.first()?;
     let times = run.time_s();
     let lengths = still.iter().map(|rows| times[rows.end - 1] - times[rows.start]);
-    let count: usize = still.iter().map(|rows| rows.len() - 1).sum();
-    let keys: Vec<&str> = columns.iter().map(|own| own.0.key()).collect();
-    let sentence = format!(
-        "{} stand exactly still in {} {} of up to {:.3} s (first from {:.3} s on) while the motor runs: the telemetry froze, and {count} rows that repeat the last one are taken as missing",
-        keys.join(", "),
-        still.len(),
-        if still.len() == 1 { "stretch" } else { "stretches" },
-        largest(lengths),
-        times[first.start],
-    );
-    let there: Vec<Channel> = columns.iter().map(|own| own.0).collect();
-    for channel in there {
+    let channels: Vec<Channel> = columns.iter().map(|own| own.0).collect();
+    let (longest_s, from_s) = (largest(lengths), times[first.start]);
+    for channel in &channels {
         let rows = still.iter().flat_map(|rows| rows.clone().skip(1));
-        empty(run, channel, rows);
+        empty(run, *channel, rows);
     }
-    Some(sentence)
+    let rows = still.iter().map(|rows| rows.len() - 1).sum();
+    Some(Masked::TelemetryFroze { channels, stretches: still.len(), longest_s, from_s, rows })
 }
 
 /// Repeats of a signal that takes a new value once in some rows only.
-fn repeats(run: &mut Run, channel: Channel) -> Option<String> {
+fn repeats(run: &mut Run, channel: Channel) -> Option<Masked> {
     let cells = run.column(channel)?;
     let rows = Sensor::of(cells).held_rows;
     if rows < 2 {
@@ -247,13 +228,8 @@ fn repeats(run: &mut Run, channel: Channel) -> Option<String> {
         }
     }
     let times: Vec<f64> = there.iter().map(|row| run.time_s()[*row]).collect();
-    let (period_s, count) = (median_step(&times), repeats.len());
-    let sentence = format!(
-        "{} takes a new value every {:.4} s and the rows are {period_s:.4} s apart: it is sampled and held, and {count} cells that \
-         only repeat it are taken as missing",
-        channel.key(),
-        rows as f64 * period_s
-    );
+    let (period_s, cells) = (median_step(&times), repeats.len());
     empty(run, channel, repeats);
-    Some(sentence)
+    let every_s = rows as f64 * period_s;
+    Some(Masked::SampledAndHeld { channel, every_s, period_s, cells })
 }

@@ -14,6 +14,7 @@
 //! only against something else: the angle, a torque, a nameplate, or a size that no motor has.
 
 mod columns;
+mod fault;
 mod mask;
 mod record;
 mod scale;
@@ -23,8 +24,11 @@ mod table;
 #[cfg(test)]
 mod tests;
 
+pub use fault::{
+    Basis, ColumnFault, Evidence, Fault, Level, Mapping, Masked, SignalFault, UnitFault,
+};
 pub use mask::mask;
-pub use scale::of_header;
+pub use scale::{LONGEST_ARMATURE_S, of_header};
 
 use serde::Serialize;
 
@@ -65,10 +69,8 @@ pub struct Finding {
     pub kind: Kind,
     /// Nothing may be identified from these data; else a caution.
     pub refuses: bool,
-    /// The evidence with its numbers.
-    pub sentence: String,
-    /// What to do about it.
-    pub help: String,
+    #[serde(rename = "code")]
+    pub fault: Fault,
     /// Parameters that must not be settled under this caution.
     #[serde(serialize_with = "keys")]
     pub doubts: Vec<MotorKey>,
@@ -79,49 +81,33 @@ fn keys<S: serde::Serializer>(doubts: &[MotorKey], serializer: S) -> Result<S::O
 }
 
 impl Finding {
-    fn refusal(kind: Kind, sentence: impl Into<String>, help: impl Into<String>) -> Self {
-        Self::of_all(kind, true, sentence, help)
+    fn refusal(kind: Kind, fault: impl Into<Fault>) -> Self {
+        Self::of_all(kind, true, fault)
     }
 
     /// A refusal, or a caution for every parameter.
-    fn of_all(
-        kind: Kind,
-        refuses: bool,
-        sentence: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
-        Self { refuses, ..Self::caution(kind, &MotorKey::ALL, sentence, help) }
+    fn of_all(kind: Kind, refuses: bool, fault: impl Into<Fault>) -> Self {
+        Self { refuses, ..Self::caution(kind, &MotorKey::ALL, fault) }
     }
 
-    fn caution(
-        kind: Kind,
-        doubts: &[MotorKey],
-        sentence: impl Into<String>,
-        help: impl Into<String>,
-    ) -> Self {
-        Self {
-            kind,
-            refuses: false,
-            sentence: sentence.into(),
-            help: help.into(),
-            doubts: doubts.to_vec(),
-        }
+    fn caution(kind: Kind, doubts: &[MotorKey], fault: impl Into<Fault>) -> Self {
+        Self { kind, refuses: false, fault: fault.into(), doubts: doubts.to_vec() }
     }
 }
 
 /// Distance of rows from one to the next of which no shaft stops and runs again, s.
 const CLOSE_S: f64 = 0.02;
 
-const fn rows_of(count: usize) -> &'static str {
-    if count == 1 { "row" } else { "rows" }
-}
-
-/// A parameter that a caution touches is not settled while the caution stands.
-pub fn doubt(parameters: &mut [ParameterEstimate], findings: &[Finding]) {
+/// A parameter that a caution touches is not settled while the caution stands; the reason is the `sentence` of its fault.
+pub fn doubt(
+    parameters: &mut [ParameterEstimate],
+    findings: &[Finding],
+    sentence: impl Fn(&Fault) -> String,
+) {
     for parameter in parameters {
         let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
         if let Some(finding) = findings.iter().find(doubts) {
-            parameter.unsettle(&*finding.sentence);
+            parameter.unsettle(sentence(&finding.fault));
         }
     }
 }
@@ -157,12 +143,5 @@ pub fn examine(run: &Run, scenario: &Scenario, model: &Model) -> Vec<Finding> {
         }
     }
     findings.sort_by_key(|finding| !finding.refuses);
-    // A remedy of two findings stands with the first.
-    for place in 1..findings.len() {
-        let (before, own) = findings.split_at_mut(place);
-        if before.iter().any(|finding| finding.help == own[0].help) {
-            own[0].help.clear();
-        }
-    }
     findings
 }

@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::sensor::{Signal, is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
-use super::{CLOSE_S, Finding, Kind, rows_of};
+use super::{CLOSE_S, Finding, Kind, Level, SignalFault};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
@@ -27,25 +27,16 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
     let voltage_changes = voltage.is_there() && voltage.range() > 0.01 * voltage.largest();
     if current.is_constant() && voltage_changes && speed.moves {
-        findings.push(Finding::refusal(
-            Kind::Frozen,
-            format!(
-                "current_a is {} A in all {} rows while {} changes between {:.4} and {:.4} V and the speed follows: \
-                 the current is not measured",
-                current.mean, current.count, table.voltage_key, voltage.least, voltage.most
-            ),
-            "leave the column out of --map (voltage and speed alone still give the back-EMF constant), or repair the sensor",
-        ));
+        let fault = SignalFault::CurrentConstant {
+            level_a: current.mean,
+            rows: current.count,
+            voltage: table.voltage_key,
+            volts: voltage.extent(),
+        };
+        findings.push(Finding::refusal(Kind::Frozen, fault));
     } else if current.is_there() && current.is_zero() && voltage.is_there() && !voltage_changes {
-        findings.push(Finding::refusal(
-            Kind::OpenCircuit,
-            format!(
-                "the current stays 0 A while the speed goes from {:.4} to {:.4} rad/s at a stated voltage of {:.4} V: \
-                 the terminals are open, so the stated voltage is not the motor's",
-                speed.least, speed.most, voltage.mean
-            ),
-            "leave the voltage out of --map, and give torque_n_m_per_a with --model: the coast-down then gives the torque balance",
-        ));
+        let fault = SignalFault::CoastDown { speeds_rad_s: speed.extent(), volts: voltage.mean };
+        findings.push(Finding::refusal(Kind::OpenCircuit, fault));
     }
     if current_moves && speed.is_there() && !speed.moves {
         findings.extend(shaft_at_rest(table, &speed));
@@ -78,19 +69,14 @@ fn open_for_a_while(
     let stretches = runs_of(table.time_s.len(), 20, coasts);
     let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
-    let level = median(&currents);
-    if rows.is_empty() || level > 0.02 * current.largest() {
+    let level_a = median(&currents);
+    if rows.is_empty() || level_a > 0.02 * current.largest() {
         return None;
     }
-    let sentence = format!(
-        "in {} rows from {:.3} s on the voltage is stated as 0 V and the shaft turns, but the current is {level:.3} A: the \
-         terminals are open there, so no voltage is known and no balance of voltages holds",
-        rows.len(),
-        table.time_s[rows[0]]
-    );
-    let help = "cut the coast-down out of the file; on its own, without a voltage and with torque_n_m_per_a given, it shows the torque balance";
-    let share = rows.len() as f64 / table.time_s.len() as f64;
-    Some(Finding::of_all(Kind::OpenCircuit, share > 0.02, sentence, help))
+    let (from_s, rows) = (table.time_s[rows[0]], rows.len());
+    let fault = SignalFault::CoastDownInside { rows, from_s, level_a };
+    let share = rows as f64 / table.time_s.len() as f64;
+    Some(Finding::of_all(Kind::OpenCircuit, share > 0.02, fault))
 }
 
 /// One operating point, moving or not.
@@ -102,42 +88,24 @@ fn nothing_moves(
 ) -> Finding {
     let signals = [("voltage", voltage, "V"), ("current", current, "A"), ("speed", speed, "rad/s")];
     let there = signals.iter().filter(|(_, activity, _)| activity.is_there());
-    let levels = there.map(|(name, activity, unit)| {
-        let noise = format!(" +- {:.2}", activity.noise);
-        let noise = if activity.is_constant() { "" } else { &noise };
-        format!("{name} {:.4}{noise} {unit}", activity.mean)
+    let levels = there.map(|(signal, activity, unit)| {
+        let noise = (!activity.is_constant()).then_some(activity.noise);
+        Level { signal, unit, mean: activity.mean, noise }
     });
-    let levels = levels.collect::<Vec<_>>().join(", ");
+    let levels = levels.collect();
     if speed.is_there() && speed.is_zero() {
-        Finding::refusal(
-            Kind::Standstill,
-            format!(
-                "the motor stands still and nothing changes for {duration_s:.3} s ({levels}): there is nothing to identify"
-            ),
-            "excite the motor: steps of voltage in both directions, with some time at rest first",
-        )
+        Finding::refusal(Kind::Standstill, SignalFault::AtRest { duration_s, levels })
     } else {
-        Finding::refusal(
-            Kind::Steady,
-            format!(
-                "nothing changes for {duration_s:.3} s ({levels}): one operating point is one equation for all unknowns"
-            ),
-            "excite the motor: steps of voltage in both directions; record the transients too",
-        )
+        Finding::refusal(Kind::Steady, SignalFault::OperatingPoint { duration_s, levels })
     }
 }
 
 /// The current moves, the speed does not: a locked rotor, or a speed that is not measured.
 fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     if speed.is_constant() && speed.mean.abs() > 0.0 {
-        return Some(Finding::refusal(
-            Kind::Frozen,
-            format!(
-                "speed_rad_s is {} rad/s in all {} rows while the current changes: the speed is not measured",
-                speed.mean, speed.count
-            ),
-            "leave the column out of --map, or repair the sensor",
-        ));
+        let (level_rad_s, rows) = (speed.mean, speed.count);
+        let fault = SignalFault::SpeedConstant { level_rad_s, rows };
+        return Some(Finding::refusal(Kind::Frozen, fault));
     }
     if !speed.is_zero() {
         return None;
@@ -145,26 +113,12 @@ fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     let roles = Roles::of(table);
     let unexplained = voltage_at_rest(&roles)?;
     if unexplained > AT_REST {
-        return Some(Finding::refusal(
-            Kind::Frozen,
-            format!(
-                "the speed reads 0 rad/s throughout, but resistance and inductance leave {:.0} % of the voltage \
-                 unexplained: the shaft turns and the speed is not measured",
-                100.0 * unexplained
-            ),
-            "check the speed sensor, or leave the column out of --map",
-        ));
+        return Some(Finding::refusal(Kind::Frozen, SignalFault::SpeedZero { unexplained }));
     }
-    Some(Finding::caution(
-        Kind::Standstill,
-        &[MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque],
-        format!(
-            "the shaft does not turn in {:.3} s (speed 0 +- {:.2} rad/s): only resistance and inductance can be found",
-            table.duration_s(),
-            speed.noise
-        ),
-        "for the other parameters the shaft must be free to turn and the voltage high enough to break it away",
-    ))
+    let doubts = [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque];
+    let (duration_s, noise_rad_s) = (table.duration_s(), speed.noise);
+    let fault = SignalFault::ShaftAtRest { duration_s, noise_rad_s };
+    Some(Finding::caution(Kind::Standstill, &doubts, fault))
 }
 
 /// Single values that no machine can have shown: one row far off between two that agree. A current may jump, but not to three
@@ -178,7 +132,7 @@ pub(super) fn outlier(table: &Table) -> Option<Finding> {
         .or_else(|| wild("current_a", &table.time_s, &table.current_a, 3.0))
 }
 
-fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
+fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
     let mut sorted = finite(values);
     if sorted.len() < 100 {
         return None;
@@ -199,20 +153,15 @@ fn wild(key: &str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Findin
     if spikes.len() > tail {
         return None;
     }
-    Some(Finding::refusal(
-        Kind::Outlier,
-        format!(
-            "{key} reads {:.4} at {:.4} s between {:.4} and {:.4} ({} such {} of {}): no machine moves like that",
-            values[first],
-            time_s[first],
-            values[first - 1],
-            values[first + 1],
-            spikes.len(),
-            rows_of(spikes.len()),
-            values.len()
-        ),
-        "leave the cell empty: an empty cell is a missing value; look for noise on the line or a torn transmission",
-    ))
+    let fault = SignalFault::Outlier {
+        key,
+        at_s: time_s[first],
+        value: values[first],
+        beside: [values[first - 1], values[first + 1]],
+        count: spikes.len(),
+        of: values.len(),
+    };
+    Some(Finding::refusal(Kind::Outlier, fault))
 }
 
 /// Share of the largest value that counts as zero.
@@ -270,17 +219,9 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     }
     let unexplained = voltage_at_rest(&Roles::of(table).over(&windows));
     let unexplained = unexplained.filter(|share| *share > AT_REST)?;
-    Some(Finding::refusal(
-        Kind::Frozen,
-        format!(
-            "speed_rad_s is exactly 0 from {:.3} to {:.3} s, but resistance and inductance leave {:.0} % of the voltage there \
-             unexplained: the shaft turns and its sensor is dead",
-            table.time_s[longest.start],
-            table.time_s[longest.end - 1],
-            100.0 * unexplained
-        ),
-        "check the encoder and its cable; cut the stretch out of the file",
-    ))
+    let (from_s, to_s) = (table.time_s[longest.start], table.time_s[longest.end - 1]);
+    let fault = SignalFault::SpeedDead { from_s, to_s, unexplained };
+    Some(Finding::refusal(Kind::Frozen, fault))
 }
 
 /// A signal that is never negative although the voltage clearly reverses and it is large there.
@@ -310,19 +251,9 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
         |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x) / values.len() as f64;
     let (forward, backward, astern) = (power(&ahead), power(&astern), astern.len());
     (backward > 0.05 * forward).then(|| {
-        let help = if key == "current_a" {
-            "a supply or rectified current has no direction; map the armature current, with its sign"
-        } else {
-            "map the speed with its sign, or the angle"
-        };
-        Finding::refusal(
-            Kind::Unsigned,
-            format!(
-                "{key} is never negative (least {:.4}, largest {:.4}) although {} reverses for {astern} rows: it has lost its sign",
-                activity.least, activity.most, table.voltage_key
-            ),
-            help,
-        )
+        let (values, voltage) = (activity.extent(), table.voltage_key);
+        let fault = SignalFault::SignLost { key, values, voltage, rows: astern };
+        Finding::refusal(Kind::Unsigned, fault)
     })
 }
 
@@ -334,21 +265,15 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
         return None;
     }
     let rows = table.voltage_v.iter().zip(&table.speed_rad_s);
-    let driven_backward = rows
+    let rows = rows
         .filter(|(u, w)| **u > CLEARLY * voltage.most && **w < -CLEARLY * speed.largest())
         .count();
-    let share = driven_backward as f64 / table.time_s.len().max(1) as f64;
+    let share = rows as f64 / table.time_s.len().max(1) as f64;
     let both = speed.most > CLEARLY * speed.largest() && speed.least < -CLEARLY * speed.largest();
     (both && share > 0.1).then(|| {
-        Finding::refusal(
-            Kind::Unsigned,
-            format!(
-                "{} is never negative although the speed runs from {:.4} to {:.4} rad/s, and is clearly positive in \
-                 {driven_backward} rows that run backward: it has lost its sign",
-                table.voltage_key, speed.least, speed.most
-            ),
-            "map the voltage with its sign (a duty or bus voltage alone has none)",
-        )
+        let (voltage, speeds_rad_s) = (table.voltage_key, speed.extent());
+        let fault = SignalFault::VoltageSignLost { voltage, speeds_rad_s, rows };
+        Finding::refusal(Kind::Unsigned, fault)
     })
 }
 
@@ -368,7 +293,7 @@ pub(super) fn overflow(table: &Table) -> Option<Finding> {
     .find_map(|(key, values, sensor)| overflow_of(table, key, values, sensor.quantum))
 }
 
-fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option<Finding> {
+fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -> Option<Finding> {
     let (least, most) = extent(finite(values));
     let range = most - least;
     let pairs = values.windows(2);
@@ -407,26 +332,15 @@ fn overflow_of(table: &Table, key: &str, values: &[f64], quantum: f64) -> Option
     let step = steps.fold(f64::INFINITY, |least, size| least.min(*size));
     let bits = (period / step).log2();
     let is_whole = (bits - bits.round()).abs() < 0.05 && (8.0..=32.0).contains(&bits.round());
-    let (period, counts) = if is_whole {
-        let counts = bits.round().exp2();
-        (counts * step, format!(" ({counts} counts of its step)"))
-    } else {
-        (period, " (65536 counts, if it has 16 bits)".to_owned())
-    };
+    let counts = is_whole.then(|| bits.round().exp2());
     let first = jumps[0];
-    Some(Finding::refusal(
-        Kind::Overflow,
-        format!(
-            "{key} jumps by {period:.4} from one end of its range to the other{counts} in {} rows, first at {:.4} s from {:.4} to \
-             {:.4}, while nothing drives it there: a counter that overflows to the other sign",
-            jumps.len(),
-            table.time_s[first],
-            values[first - 1],
-            values[first],
-        ),
-        format!(
-            "add or subtract {period:.4} in the rows behind each jump until the next one, or log the signal with more bits or in a \
-             coarser unit"
-        ),
-    ))
+    let fault = SignalFault::CounterOverflows {
+        key,
+        jump: counts.map_or(period, |counts| counts * step),
+        counts,
+        rows: jumps.len(),
+        at_s: table.time_s[first],
+        values: [values[first - 1], values[first]],
+    };
+    Some(Finding::refusal(Kind::Overflow, fault))
 }

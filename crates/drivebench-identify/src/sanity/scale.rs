@@ -2,20 +2,16 @@
 //! a nameplate, or a size that no motor has.
 
 use std::f64::consts::{PI, TAU};
-use std::fmt::Write as _;
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
-use super::{Finding, Kind};
+use super::{Basis, Evidence, Finding, Kind, UnitFault};
 use crate::claims::OF_BACK_EMF as OF_SPEED;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, Origin, Run};
-use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
+use drivebench_model::units::rpm_from_rad_s;
 
 const DEGREES: f64 = 180.0 / PI;
-/// Factors of the commands that convert a column.
-const RAD_S_PER_RPM: &str = "0.104719755";
-const RAD_PER_DEGREE: &str = "0.017453293";
 
 /// Units that are taken for rad/s: `column = factor * true value`.
 fn speed_units() -> [(f64, &'static str); 4] {
@@ -27,18 +23,19 @@ fn speed_units() -> [(f64, &'static str); 4] {
     ]
 }
 
-/// Refuses a speed in one of those units; `why`: the evidence with its figures.
-fn not_rad_s((factor, seems): (f64, &str), why: &str) -> Finding {
-    confused("speed_rad_s", [seems, "rad/s"], factor, why)
+/// Refuses a speed in one of those units.
+fn not_rad_s((factor, seems): (f64, &'static str), evidence: Evidence) -> Finding {
+    confused("speed_rad_s", [seems, "rad/s"], factor, evidence)
 }
 
-fn confused(key: &str, [seems, instead]: [&str; 2], factor: f64, why: &str) -> Finding {
-    let correction = 1.0 / factor;
-    Finding::refusal(
-        Kind::Unit,
-        format!("{key} seems to be in {seems}, not in {instead} (a factor {factor:.4}): {why}"),
-        format!("convert it with --map {key}=COLUMN*{correction:.9}"),
-    )
+fn confused(
+    key: &'static str,
+    [seems, instead]: [&'static str; 2],
+    factor: f64,
+    evidence: Evidence,
+) -> Finding {
+    let fault = UnitFault::OtherUnit { key, seems, instead, factor, evidence };
+    Finding::refusal(Kind::Unit, fault)
 }
 
 /// Whether `ratio` is `factor` within a share.
@@ -79,65 +76,45 @@ fn speed_over_angle(run: &Run) -> Option<f64> {
 
 /// The derivative of the angle is the speed.
 pub(super) fn against_angle(run: &Run) -> Option<Finding> {
-    let ratio = speed_over_angle(run)?;
-    if near(ratio, 1.0, 0.05) {
+    let over_angle = speed_over_angle(run)?;
+    if near(over_angle, 1.0, 0.05) {
         return None;
     }
-    let evidence =
-        format!("the integral of speed_rad_s is {ratio:.4} times the change of angle_rad");
-    let is = |factor: f64| near(ratio, factor, 0.02);
+    let is = |factor: f64| near(over_angle, factor, 0.02);
     let angle_units = [("degrees", 1.0 / DEGREES), ("turns", TAU)];
-    for (factor, unit, correction) in [(1e3, "ms", "0.001"), (1e6, "us", "0.000001")] {
-        if is(factor) {
-            let sentence =
-                format!("time_s seems to be in {unit}, not in s (a factor {factor}): {evidence}");
-            let help = format!("convert it with --map time_s=COLUMN*{correction}");
-            return Some(Finding::refusal(Kind::Unit, sentence, help));
-        }
+    if let Some((factor, unit)) = [(1e3, "ms"), (1e6, "us")].into_iter().find(|own| is(own.0)) {
+        let fault = UnitFault::OtherTimeUnit { unit, factor, over_angle };
+        return Some(Finding::refusal(Kind::Unit, fault));
     }
     if let Some(unit) = speed_units().into_iter().find(|unit| is(unit.0)) {
-        return Some(not_rad_s(unit, &evidence));
+        return Some(not_rad_s(unit, Evidence::Angle { over_angle }));
     }
     let both = [rpm_from_rad_s(1.0) / DEGREES, rpm_from_rad_s(1.0) * TAU];
     let mut units = both.into_iter().zip(angle_units);
-    if let Some((_, (unit, correction))) = units.find(|(factor, _)| is(*factor)) {
-        let sentence = format!(
-            "speed_rad_s seems to be in r/min (a factor 9.5493) and angle_rad in {unit}: {evidence}"
-        );
-        let help = format!(
-            "convert them with --map speed_rad_s=COLUMN*{RAD_S_PER_RPM},angle_rad=COLUMN*{correction:.9}"
-        );
-        return Some(Finding::refusal(Kind::Unit, sentence, help));
+    if let Some((_, (unit, to_rad))) = units.find(|(factor, _)| is(*factor)) {
+        let fault = UnitFault::SpeedAndAngle { unit, to_rad, over_angle };
+        return Some(Finding::refusal(Kind::Unit, fault));
     }
     Some(if is(1.0 / DEGREES) || is(TAU) {
-        let (unit, correction) = angle_units[usize::from(ratio >= 1.0)];
-        let sentence = format!("angle_rad seems to be in {unit}, not in rad: {evidence}");
-        let help = format!("convert it with --map angle_rad=COLUMN*{correction:.9}");
-        Finding::caution(Kind::Unit, &[], sentence, help)
+        let (unit, to_rad) = angle_units[usize::from(over_angle >= 1.0)];
+        Finding::caution(Kind::Unit, &[], UnitFault::Angle { unit, to_rad, over_angle })
     } else if is(-1.0) {
-        Finding::caution(
-            Kind::Reversed,
-            &[],
-            format!("angle and speed count in opposite directions: {evidence}"),
-            "turn one of them with --map angle_rad=COLUMN*-1",
-        )
+        Finding::caution(Kind::Reversed, &[], UnitFault::AngleReversed { over_angle })
     } else {
-        let pairs = ratio.round();
-        let guess = if (2.0..=24.0).contains(&pairs) && is(pairs) {
-            format!("; is the speed electrical, with {pairs} pole pairs?")
-        } else {
-            "; one of them is in another unit (counts?), or on the other side of a gear".to_owned()
-        };
-        let sentence = format!("{evidence}{guess}");
-        let help = "map the angle in rad, or leave it out";
-        Finding::caution(Kind::Unit, &OF_SPEED, sentence, help)
+        let pairs = over_angle.round();
+        let pole_pairs = ((2.0..=24.0).contains(&pairs) && is(pairs)).then_some(pairs);
+        Finding::caution(
+            Kind::Unit,
+            &OF_SPEED,
+            UnitFault::AngleDisagrees { over_angle, pole_pairs },
+        )
     })
 }
 
 /// Tolerance by which a ratio of back-EMF constants shows a unit; temperature moves it by some per cent.
 const BACK_EMF: f64 = 0.15;
 /// Electrical time constant that no armature reaches, s.
-const LONGEST_ARMATURE_S: f64 = 1.0;
+pub const LONGEST_ARMATURE_S: f64 = 1.0;
 
 /// Against the model's values, a torque, and what motors are like.
 pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Finding> {
@@ -155,15 +132,8 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
         && found.inductance.value > LONGEST_ARMATURE_S * found.resistance.value
     {
         let time_constant_s = found.inductance.value / found.resistance.value;
-        findings.push(Finding::refusal(
-            Kind::Unit,
-            format!(
-                "time_s seems to be in ms, not in s (a factor 1000): the rows are {:.4} s apart and the armature would have \
-                 a time constant L/R of {time_constant_s:.2} s, while none exceeds {LONGEST_ARMATURE_S} s",
-                table.period_s()
-            ),
-            "convert it with --map time_s=COLUMN*0.001",
-        ));
+        let fault = UnitFault::TimeInMs { period_s: table.period_s(), time_constant_s };
+        findings.push(Finding::refusal(Kind::Unit, fault));
     }
     let resistance = balances.map(|found| found.resistance.value);
     let nameplate = model.motor.get(MotorKey::BackEmf);
@@ -191,56 +161,41 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
     let like =
         |factor: f64| winding.is_none_or(|ratio| (factor / 1.8..factor * 1.8).contains(&ratio));
     let ratio = found / given;
-    let mut evidence = format!(
-        "this run gives a back-EMF constant of {found:.4e} V.s/rad, the model {given:.4e} ({:.3} times as much)",
-        given / found
-    );
-    if let Some((found, given)) = windings {
-        let _ = write!(evidence, ", a resistance of {found:.4e} ohm, the model {given:.4e}");
-    }
+    let evidence = Evidence::Model { back_emf: (found, given), resistance: windings };
     if like(1.0)
         && let Some(unit) =
             speed_units().into_iter().find(|unit| near(ratio * unit.0, 1.0, BACK_EMF))
     {
-        return Some(not_rad_s(unit, &evidence));
+        return Some(not_rad_s(unit, evidence));
     }
     for (factor, current, voltage) in [(1e3, "mA", "mV"), (1e-3, "kA", "kV")] {
         if winding.is_some() && like(1.0 / factor) && near(ratio, 1.0, 3.0 * BACK_EMF) {
-            let units = [current, "A"];
-            return Some(confused("current_a", units, factor, &evidence));
+            return Some(confused("current_a", [current, "A"], factor, evidence));
         }
         if like(factor) && near(ratio, factor, BACK_EMF) {
-            let units = [voltage, "V"];
-            return Some(confused("voltage_v", units, factor, &evidence));
+            return Some(confused("voltage_v", [voltage, "V"], factor, evidence));
         }
     }
     // Phase against line, peak against r.m.s., electrical against mechanical speed, edges against lines, a gear: each is a
     // plain number, so only a hint.
     let hints = [
-        (3f64.sqrt(), "line for phase values (sqrt 3)"),
-        (1.0 / 3f64.sqrt(), "phase for line values (sqrt 3)"),
-        (2f64.sqrt(), "peak for r.m.s. values (sqrt 2)"),
-        (1.0 / 2f64.sqrt(), "r.m.s. for peak values (sqrt 2)"),
-        (0.5, "electrical speed of two pole pairs (2)"),
-        (1.0 / 3.0, "electrical speed of three pole pairs (3)"),
-        (0.25, "quadrature edges counted as lines, or electrical speed of four pole pairs (4)"),
-        (4.0, "lines counted as quadrature edges (4)"),
+        (3f64.sqrt(), Basis::LineForPhase),
+        (1.0 / 3f64.sqrt(), Basis::PhaseForLine),
+        (2f64.sqrt(), Basis::PeakForRms),
+        (1.0 / 2f64.sqrt(), Basis::RmsForPeak),
+        (0.5, Basis::TwoPolePairs),
+        (1.0 / 3.0, Basis::ThreePolePairs),
+        (0.25, Basis::EdgesForLines),
+        (4.0, Basis::LinesForEdges),
     ];
-    if let Some(hint) = hints.iter().find(|(factor, _)| near(ratio, *factor, 0.03)) {
-        let sentence = format!("{evidence}: has the column {}?", hint.1);
-        let help = "check on which basis the nameplate and the columns are given";
-        return Some(Finding::caution(Kind::Unit, &OF_SPEED, sentence, help));
+    if let Some((_, basis)) = hints.into_iter().find(|hint| near(ratio, hint.0, 0.03)) {
+        let fault = UnitFault::OtherBasis { evidence, basis };
+        return Some(Finding::caution(Kind::Unit, &OF_SPEED, fault));
     }
     // Two motors of one winding within this ratio are one, more or less magnetised.
     let is_far = !(1.0 / 1.5..1.5).contains(&ratio);
-    (is_far && winding.is_some() && like(1.0)).then(|| {
-        let (gear, side) = if ratio > 1.0 { (ratio, "slow") } else { (1.0 / ratio, "fast") };
-        let sentence = format!(
-            "{evidence}, the same winding: does the encoder stand on the {side} side of a gear of {gear:.3}?"
-        );
-        let help = format!("if so, convert it with --map speed_rad_s=COLUMN*{ratio:.6}");
-        Finding::caution(Kind::Unit, &OF_SPEED, sentence, help)
-    })
+    (is_far && winding.is_some() && like(1.0))
+        .then(|| Finding::caution(Kind::Unit, &OF_SPEED, UnitFault::Gear { evidence, ratio }))
 }
 
 /// Kt = Ke in SI: with a torque and a current the factor between them is a unit.
@@ -248,13 +203,10 @@ fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let (torque, current) = (run.column(Channel::Torque)?, run.column(Channel::Current)?);
     let both = torque.iter().zip(current).filter(|(t, i)| t.is_finite() && i.is_finite());
     let power: f64 = both.clone().map(|(_, i)| i * i).sum();
-    let constant = both.map(|(t, i)| t * i).sum::<f64>() / power;
-    let ratio = constant / back_emf;
-    let evidence = format!(
-        "torque over current is {constant:.4e} N.m/A, the back-EMF constant {back_emf:.4e} V.s/rad, equal in SI"
-    );
+    let n_m_per_a = both.map(|(t, i)| t * i).sum::<f64>() / power;
+    let ratio = n_m_per_a / back_emf;
     let unit = speed_units().into_iter().find(|unit| near(ratio, unit.0, BACK_EMF))?;
-    Some(not_rad_s(unit, &evidence))
+    Some(not_rad_s(unit, Evidence::Torque { n_m_per_a, back_emf }))
 }
 
 /// Voltages and currents that hardly any motor has; `confirmed`: by a nameplate. Low voltage ends at 1,000 V, and few motors
@@ -266,7 +218,7 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
     let milliamperes = amperes > 1000.0 && has_voltage && (volts < 200.0 || many_volts);
     // More than a megawatt is refused, not only doubted.
     let is_absurd = amperes * volts > 1e6 && milliamperes;
-    let judged = |sentence: String, help: &str| {
+    let judged = |fault: UnitFault| {
         let touched = [
             MotorKey::Resistance,
             MotorKey::Inductance,
@@ -275,28 +227,19 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
             MotorKey::LoadTorque,
         ];
         if is_absurd {
-            Finding::refusal(Kind::Unit, sentence, help)
+            Finding::refusal(Kind::Unit, fault)
         } else if many_volts {
-            Finding::of_all(Kind::Magnitude, false, sentence, help)
+            Finding::of_all(Kind::Magnitude, false, fault)
         } else {
-            Finding::caution(Kind::Magnitude, &touched, sentence, help)
+            Finding::caution(Kind::Magnitude, &touched, fault)
         }
     };
     let mut findings = Vec::new();
     if many_volts {
-        let key = table.voltage_key;
-        findings.push(judged(
-            format!("{key} reaches {volts:.0} V: if it is in mV, it is 1000 times too large"),
-            &format!("convert it with --map {key}=COLUMN*0.001"),
-        ));
+        findings.push(judged(UnitFault::Volts { key: table.voltage_key, volts }));
     }
     if milliamperes {
-        findings.push(judged(
-            format!(
-                "current_a reaches {amperes:.0} A at {volts:.1} V: if it is in mA, it is 1000 times too large"
-            ),
-            "convert it with --map current_a=COLUMN*0.001",
-        ));
+        findings.push(judged(UnitFault::Amperes { amperes, volts }));
     }
     findings
 }
@@ -304,48 +247,12 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
 /// Speeds that hardly any motor has; `confirmed`: the unit is known otherwise, `by_angle`: an angle is its integral, so that
 /// both may be in degrees, and not in r/min.
 fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -> Option<Finding> {
-    let per_minute = rpm_from_rad_s(1.0);
-    let fast = largest(&table.speed_rad_s);
+    let rad_s = largest(&table.speed_rad_s);
     // 9,549 r/min, or as many degrees per second as that are in r/min.
-    let suspected = if by_angle { 1000.0 * DEGREES / per_minute } else { 1000.0 };
-    if fast <= suspected || confirmed {
-        return None;
-    }
-    let constant = |factor: f64| {
-        back_emf.map_or_else(String::new, |found| {
-            let other = found * factor;
-            format!(", and the back-EMF constant {other:.4} instead of {found:.4} V.s/rad")
-        })
-    };
-    let reaches =
-        format!("speed_rad_s reaches {fast:.0} rad/s, that is {:.0} r/min", rpm_from_rad_s(fast));
-    let degrees = format!(
-        "in deg/s (a factor {DEGREES:.4}), it is {:.0} rad/s{}",
-        fast / DEGREES,
-        constant(DEGREES)
-    );
-    let confirm = "or confirm it with --origin speed_rad_s=measured";
-    let (sentence, help);
-    if by_angle {
-        sentence = format!(
-            "{reaches}, and angle_rad is its integral; if the columns are in degrees and {degrees}"
-        );
-        help = format!(
-            "convert them with --map speed_rad_s=COLUMN*{RAD_PER_DEGREE},angle_rad=COLUMN*{RAD_PER_DEGREE}, {confirm}"
-        );
-    } else {
-        sentence = format!(
-            "{reaches}; if the column is in r/min (a factor {per_minute:.4}), it is {:.0} rad/s{}; if it is {degrees}",
-            rad_s_from_rpm(fast),
-            constant(per_minute)
-        );
-        help = format!(
-            "convert it with --map speed_rad_s=COLUMN*{RAD_S_PER_RPM} (r/min) or speed_rad_s=COLUMN*{RAD_PER_DEGREE} (deg/s), {confirm}"
-        );
-    }
-    Some(Finding::caution(Kind::Magnitude, &OF_SPEED, sentence, help))
+    let suspected = if by_angle { 1000.0 * DEGREES / rpm_from_rad_s(1.0) } else { 1000.0 };
+    let fault = UnitFault::Fast { rad_s, by_angle, back_emf };
+    (rad_s > suspected && !confirmed).then(|| Finding::caution(Kind::Magnitude, &OF_SPEED, fault))
 }
-
 /// The unit in the header of a mapped column: `(target, names of which one stands in the header, unit, factor to the target's)`.
 const UNITS: &[(&str, &str, &str, &str)] = &[
     ("speed_rad_s", "krpm", "1000 r/min", "104.719755"),
@@ -385,13 +292,8 @@ pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
     let (_, _, unit, factor) = UNITS.iter().find(|(of, names, ..)| {
         *of == target && names.split(' ').any(|name| words.contains(&name))
     })?;
-    Some(Finding::refusal(
-        Kind::Unit,
-        format!("--map {target}={header}: the header names {unit}, and no factor is given"),
-        format!(
-            "write {target}={header}*{factor}; if the column is in the unit of {target} all the same, write {target}={header}*1"
-        ),
-    ))
+    let (target, header) = (target.to_owned(), header.to_owned());
+    Some(Finding::refusal(Kind::Unit, UnitFault::Header { target, header, unit, factor }))
 }
 
 #[cfg(test)]
@@ -402,14 +304,14 @@ mod tests {
     fn a_unit_in_the_header_is_refused_unless_a_factor_is_given() {
         for (target, header, part) in [
             ("speed_rad_s", "rpm", "9.5493"),
-            ("speed_rad_s", "Motor speed [RPM]", "*0.104719755"),
+            ("speed_rad_s", "Motor speed [RPM]", "\"0.104719755\""),
             ("speed_rad_s", "n (1/min)", "r/min"),
-            ("current_a", "i mA", "*0.001"),
-            ("time_s", "t_ms", "*0.001"),
+            ("current_a", "i mA", "\"0.001\""),
+            ("time_s", "t_ms", "\"0.001\""),
             ("angle_rad", "pos (deg)", "degrees"),
         ] {
             let found = of_header(target, header, false).expect(header);
-            let text = format!("{} {}", found.sentence, found.help);
+            let text = format!("{:?}", found.fault);
             assert!(text.contains(part) && found.refuses, "{text}");
             assert_eq!(of_header(target, header, true), None);
         }

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::sensor::{Expected, Sensor, Signal, is_same, runs_of, stops_suddenly, stretches};
 use super::table::{Activity, Table};
-use super::{Finding, Kind};
+use super::{Finding, Kind, SignalFault};
 use drivebench_model::numerics::statistics::finite;
 
 /// Rows of one and the same value from which a live signal may count as frozen.
@@ -49,18 +49,14 @@ impl<'a> Watched<'a> {
         still.retain(|rows| values[rows.start].abs() > 0.0);
         still.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
         let longest = still.into_iter().find(|rows| self.is_frozen(rows))?;
-        Some(Finding::refusal(
-            Kind::Frozen,
-            format!(
-                "{} repeats {} for {} rows from {:.3} to {:.3} s while the other signals move: its source froze",
-                self.key,
-                values[longest.start],
-                longest.len(),
-                self.table.time_s[longest.start],
-                self.table.time_s[longest.end - 1]
-            ),
-            "leave such cells empty (a missing value is never a repeat), or cut the stretch out of the file",
-        ))
+        let fault = SignalFault::Froze {
+            key: self.key,
+            value: values[longest.start],
+            rows: longest.len(),
+            from_s: self.table.time_s[longest.start],
+            to_s: self.table.time_s[longest.end - 1],
+        };
+        Some(Finding::refusal(Kind::Frozen, fault))
     }
 
     fn is_frozen(&self, rows: &Range<usize>) -> bool {
@@ -98,16 +94,9 @@ impl<'a> Watched<'a> {
         let stands = equal as f64 > 0.8 * lively.count() as f64;
         let is_held = stands && large >= 3 && 2 * large > jumps.len();
         (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
-            Finding::refusal(
-                Kind::Swapped,
-                format!(
-                    "{} stands exactly still between {large} jumps of up to {:.4}, as a command does and no measurement: is it \
-                     in another signal's column?",
-                    self.key,
-                    jumps.iter().copied().fold(0.0, f64::max)
-                ),
-                "map the measured column; a commanded voltage is voltage_cmd_v, a commanded speed reference_rad_s",
-            )
+            let largest = jumps.iter().copied().fold(0.0, f64::max);
+            let fault = SignalFault::HeldLikeACommand { key: self.key, jumps: large, largest };
+            Finding::refusal(Kind::Swapped, fault)
         })
     }
 
@@ -150,22 +139,15 @@ impl<'a> Watched<'a> {
             .filter(|(level, plateaus)| self.is_cut(*level, plateaus, expected.as_ref()))
             .collect();
         let plateaus = cut.iter().flat_map(|(_, plateaus)| plateaus);
-        let (count, rows) = plateaus.fold((0, 0), |sum, rows| (sum.0 + 1, sum.1 + rows.len()));
+        let (plateaus, rows) = plateaus.fold((0, 0), |sum, rows| (sum.0 + 1, sum.1 + rows.len()));
         // One plateau may be a stalled motor under one voltage; the very same value several times is a limit.
-        if count < 2 {
+        if plateaus < 2 {
             return None;
         }
-        let levels: Vec<String> = cut.iter().map(|(level, _)| format!("{level:.6}")).collect();
+        let levels = cut.iter().map(|(level, _)| *level).collect();
         let share = rows as f64 / self.activity.count as f64;
-        let sentence = format!(
-            "{} stands at exactly {} in {rows} rows ({:.1} %) on {count} plateaus where it would go further: it is cut off there",
-            self.key,
-            levels.join(" or "),
-            100.0 * share
-        );
-        let help =
-            "raise the range of the instrument or excite less; or leave the cut-off cells empty";
-        Some(Finding::of_all(Kind::Clipped, share > 0.01, sentence, help))
+        let fault = SignalFault::CutOff { key: self.key, levels, rows, share, plateaus };
+        Some(Finding::of_all(Kind::Clipped, share > 0.01, fault))
     }
 
     fn plateaus(&self, level: f64) -> Vec<Range<usize>> {

@@ -10,7 +10,7 @@ use crate::window_sums::{Sums, trapezoid, windows};
 use drivebench_model::numerics::count;
 use drivebench_model::numerics::least_squares::fit_normal;
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
-use drivebench_model::plant::{Input, Scenario};
+use drivebench_model::plant::{Input, MotorKey, Scenario};
 use drivebench_model::signal;
 
 /// Voltage (as held), current and speed at each sample; NaN where missing. Without a voltage the first is all NaN.
@@ -139,6 +139,10 @@ impl Activity {
         self.count > 0 && self.most <= self.least
     }
 
+    pub(super) const fn extent(&self) -> [f64; 2] {
+        [self.least, self.most]
+    }
+
     pub(super) fn range(&self) -> f64 {
         self.most - self.least
     }
@@ -262,15 +266,15 @@ impl Balances {
     }
 
     /// The first coefficient that has the wrong sign for certain.
-    pub(super) fn impossible(&self) -> Option<(&'static str, f64)> {
+    pub(super) fn impossible(&self) -> Option<(MotorKey, f64)> {
         [
-            ("a resistance", self.resistance),
-            ("a back-EMF constant", self.back_emf),
-            ("an inertia", self.inertia),
+            (MotorKey::Resistance, self.resistance),
+            (MotorKey::BackEmf, self.back_emf),
+            (MotorKey::Inertia, self.inertia),
         ]
         .into_iter()
         .find(|(_, coefficient)| coefficient.is_negative())
-        .map(|(name, coefficient)| (name, coefficient.value))
+        .map(|(key, coefficient)| (key, coefficient.value))
     }
 }
 

@@ -139,8 +139,8 @@ impl Columns {
     }
 }
 
-/// Sentences on what was masked, and what was found in the rest.
-fn judged(mut run: Run, model: &Model) -> (Vec<String>, Vec<Finding>) {
+/// What was masked, and what was found in the rest.
+fn judged(mut run: Run, model: &Model) -> (Vec<Masked>, Vec<Finding>) {
     let masked = mask(&mut run);
     let scenario = Scenario::from_run(&run).unwrap();
     (masked, examine(&run, &scenario, model))
@@ -153,14 +153,14 @@ fn assert_sound(name: &str, run: Run, model: &Model) {
     assert!(is_sound, "{name}: {masked:?} {findings:#?}");
 }
 
-/// The first finding, which has this kind and these parts, separated by bars.
+/// The first finding, which has this kind and these parts in its fault, separated by bars.
 #[track_caller]
 fn assert_finds(run: Run, model: &Model, kind: Kind, parts: &str) -> Vec<Finding> {
     let (masked, findings) = judged(run, model);
     let Some(first) = findings.first() else {
         panic!("{parts}: nothing found, {masked:?}");
     };
-    let text = format!("{} {}", first.sentence, first.help);
+    let text = format!("{:?}", first.fault);
     let has_parts = parts.split('|').all(|part| text.contains(part));
     assert!(first.kind == kind && has_parts, "{parts}: {findings:#?}");
     findings
@@ -232,25 +232,27 @@ fn sound_records_pass_without_a_finding() {
 
 #[test]
 fn exchanged_and_reversed_columns_are_named() {
-    let (names, none) = (["voltage", "current", "speed"], unknown());
+    let none = unknown();
     for (a, b) in [(0, 1), (1, 2), (0, 2)] {
         for period_s in [0.002, 0.01] {
             let mut it = columns(period_s, 3);
             let mut signals = it.signals();
             let (first, second) = signals.split_at_mut(b);
             std::mem::swap(first[a], second[0]);
-            let swapped = format!("{} and {} are swapped|--map", names[a], names[b]);
+            let mut place = [0, 1, 2];
+            place.swap(a, b);
+            let swapped = format!("Exchanged|place: {place:?}");
             assert_refused(it.run(), &none, Kind::Swapped, &swapped);
         }
     }
-    for (signal, name) in names.into_iter().enumerate() {
+    for signal in 0..3 {
         let mut it = columns(0.005, 5);
         scale(it.signals()[signal], -1.0);
-        let reversed = format!("the sign of the {name} is reversed|*-1");
+        let reversed = format!("SignReversed|reversed: Some({signal})");
         assert_refused(it.run(), &none, Kind::Reversed, &reversed);
         let mut it = columns(0.002, 9);
         it.signals()[signal].iter_mut().for_each(|x| *x = x.abs());
-        assert_refused(it.run(), &none, Kind::Unsigned, "lost its sign");
+        assert_refused(it.run(), &none, Kind::Unsigned, "SignLost");
     }
 }
 
@@ -264,18 +266,18 @@ fn units_are_named_with_their_factor() {
         it
     };
     let cases: [(&str, Change); 2] = [
-        ("mA|*0.001", |it| scale(&mut it.current, 1e3)),
-        ("ms|time_s=COLUMN*0.001", |it| scale(&mut it.time_s, 1e3)),
+        ("Amperes", |it| scale(&mut it.current, 1e3)),
+        ("TimeInMs", |it| scale(&mut it.time_s, 1e3)),
     ];
     for (parts, change) in cases {
         assert_refused(changed(change).run(), &none, Kind::Unit, parts);
     }
     let cases: [(&str, Change); 3] = [
-        ("mA|1000|*0.001", |it| scale(&mut it.current, 1e3)),
-        ("r/min|COLUMN*0.1047197", |it| {
+        ("\"mA\"|factor: 1000.0", |it| scale(&mut it.current, 1e3)),
+        ("\"r/min\"|factor: 9.549", |it| {
             scale(&mut it.speed, PER_MINUTE);
         }),
-        ("turns per second|*6.283185307", |it| {
+        ("\"turns per second\"|factor: 0.159", |it| {
             scale(&mut it.speed, 1.0 / TAU);
         }),
     ];
@@ -283,17 +285,17 @@ fn units_are_named_with_their_factor() {
         assert_refused(changed(change).run(), &known, Kind::Unit, parts);
     }
     let fast = changed(|it| scale(&mut it.speed, PER_MINUTE));
-    let parts = "r/min|9.5493|speed_rad_s=COLUMN*0.1047197";
+    let parts = "\"r/min\"|factor: 9.549|Angle";
     assert_refused(fast.with_angle(), &none, Kind::Unit, parts);
     let mut run = fast.run();
     let torque = fast.current.iter().map(|i| 0.3538 * i).collect();
     let channel = Channel::Torque;
     run.set_column(channel, torque, Origin::Estimated).unwrap();
-    assert_refused(run, &none, Kind::Unit, "r/min|N.m/A");
+    assert_refused(run, &none, Kind::Unit, "\"r/min\"|Torque");
     let degrees = changed(|it| scale(&mut it.speed, 180.0 / PI));
-    assert_refused(degrees.with_angle(), &none, Kind::Unit, "deg/s|57.29");
+    assert_refused(degrees.with_angle(), &none, Kind::Unit, "\"deg/s\"|factor: 57.29");
     let degrees = changed(|it| scale(&mut it.angle, 180.0 / PI));
-    assert_doubted(degrees.with_angle(), &none, Kind::Unit, "degrees");
+    assert_doubted(degrees.with_angle(), &none, Kind::Unit, "Angle { unit: \"degrees\"");
     // Where nothing refutes the unit, a size that hardly any motor has is doubted, and a plain factor against a model.
     let doubts = |model: &Model, kind, cases: &[(&str, Change)]| {
         for (parts, change) in cases {
@@ -302,20 +304,20 @@ fn units_are_named_with_their_factor() {
         }
     };
     let sizes: [(&str, Change); 3] = [
-        ("9.5493", |it| scale(&mut it.speed, PER_MINUTE)),
-        ("deg/s|*0.017453293", |it| scale(&mut it.speed, 180.0 / PI)),
-        ("in mV|voltage_v=COLUMN*0.001", |it| {
+        ("by_angle: false", |it| scale(&mut it.speed, PER_MINUTE)),
+        ("Fast|back_emf: Some", |it| scale(&mut it.speed, 180.0 / PI)),
+        ("Volts|\"voltage_v\"", |it| {
             scale(&mut it.voltage, 1e3);
         }),
     ];
     doubts(&none, Kind::Magnitude, &sizes);
     let factors: [(&str, Change); 4] = [
-        ("edges counted as lines", |it| scale(&mut it.speed, 4.0)),
-        ("lines counted as", |it| scale(&mut it.speed, 0.25)),
-        ("slow side of a gear of|speed_rad_s=COLUMN*", |it| {
+        ("EdgesForLines", |it| scale(&mut it.speed, 4.0)),
+        ("LinesForEdges", |it| scale(&mut it.speed, 0.25)),
+        ("Gear|ratio: ", |it| {
             scale(&mut it.speed, 0.05);
         }),
-        ("fast side of a gear of", |it| scale(&mut it.speed, 7.0)),
+        ("Gear|ratio: 0.14", |it| scale(&mut it.speed, 7.0)),
     ];
     doubts(&known, Kind::Unit, &factors);
     // Speed and angle in degrees agree with each other; an origin that is declared confirms the unit.
@@ -323,8 +325,7 @@ fn units_are_named_with_their_factor() {
         scale(&mut it.speed, 100.0 * 180.0 / PI);
         scale(&mut it.angle, 100.0 * 180.0 / PI);
     });
-    let help = "angle_rad=COLUMN*0.017453293";
-    assert_doubted(both.with_angle(), &none, Kind::Magnitude, help);
+    assert_doubted(both.with_angle(), &none, Kind::Magnitude, "Fast|by_angle: true");
     let mut run = both.with_angle();
     run.set_origin(Channel::Speed, Origin::Measured);
     assert_sound("declared", run, &none);
@@ -352,13 +353,13 @@ fn signals_that_do_not_move_are_distinguished() {
     // No shaft and no winding stands still between jumps.
     let held = good.voltage.iter().map(|volts| 2.5 * volts).collect();
     for (it, kind, parts) in [
-        (still, Kind::Standstill, "stands still"),
-        (steady, Kind::Steady, "24|operating point"),
-        (open, Kind::OpenCircuit, "terminals are open"),
-        (of(None, None, Some(held)), Kind::Swapped, "speed"),
-        (of(None, Some(vec![1.5; rows]), None), Kind::Frozen, "1.5 A in all 900 rows"),
-        (of(None, None, Some(vec![0.0; rows])), Kind::Frozen, "speed is not measured"),
-        (of(None, None, Some(vec![30.0; rows])), Kind::Frozen, "30 rad/s"),
+        (still, Kind::Standstill, "AtRest"),
+        (steady, Kind::Steady, "OperatingPoint|mean: 24.0"),
+        (open, Kind::OpenCircuit, "CoastDown {"),
+        (of(None, None, Some(held)), Kind::Swapped, "HeldLikeACommand|speed"),
+        (of(None, Some(vec![1.5; rows]), None), Kind::Frozen, "level_a: 1.5, rows: 900"),
+        (of(None, None, Some(vec![0.0; rows])), Kind::Frozen, "SpeedZero"),
+        (of(None, None, Some(vec![30.0; rows])), Kind::Frozen, "level_rad_s: 30.0"),
     ] {
         assert_refused(it.run(), &unknown(), kind, parts);
     }
@@ -379,7 +380,7 @@ fn a_stretch_with_open_terminals_is_found_within_a_record() {
         it.current[row] = it.current[row % 200];
         it.speed[row] = begin * (1.0 - 0.4 * (it.time_s[row] - it.time_s[1300]));
     }
-    let parts = "terminals are open|2.600 s";
+    let parts = "CoastDownInside|from_s: 2.6";
     assert_refused(it.run(), &unknown(), Kind::OpenCircuit, parts);
     // Shorted terminals brake: zero volt at speed is a level like any other.
     let mut levels = levels();
@@ -391,38 +392,35 @@ fn a_stretch_with_open_terminals_is_found_within_a_record() {
 #[test]
 fn cells_that_are_no_measurement_are_masked_and_counted() {
     let cases: [(&str, Change); 10] = [
-        ("speed_rad_s reads exactly -9999 in 55 rows of 2250", |it| {
+        ("channel: Speed, value: -9999.0, rows: 55, of: 2250", |it| {
             every_41st(&mut it.speed, -9999.0);
         }),
-        ("exactly 327.67", |it| every_41st(&mut it.current, 327.67)),
-        ("65535", |it| every_41st(&mut it.speed, 65535.0)),
-        ("-200", |it| every_41st(&mut it.current, -200.0)),
-        ("voltage_v reads exactly 655.35", |it| {
+        ("value: 327.67", |it| every_41st(&mut it.current, 327.67)),
+        ("value: 65535.0", |it| every_41st(&mut it.speed, 65535.0)),
+        ("value: -200.0", |it| every_41st(&mut it.current, -200.0)),
+        ("channel: Voltage, value: 655.35", |it| {
             every_41st(&mut it.voltage, 655.35);
         }),
-        ("reads exactly 0|between values that agree", |it| {
+        ("value: 0.0", |it| {
             every_41st(&mut it.speed, 0.0);
         }),
-        ("in 1 row of 2250 (first at 0.0000 s)", |it| {
+        ("rows: 1, of: 2250, first_s: 0.0", |it| {
             it.speed[0] = 32767.0;
         }),
-        ("-999 in 60 rows", |it| it.speed[900..960].fill(-999.0)),
-        ("every 0.0200 s|sampled and held", |it| it.renew(10)),
-        (
-            "voltage_v, current_a, speed_rad_s stand exactly still in 3 stretches of up to 0.398 s (first from 1.400 s on)|597 rows",
-            |it| {
-                for begin in [700, 1300, 1800] {
-                    let signals = it.signals().into_iter();
-                    signals.for_each(|values| hold(values, begin..begin + 200));
-                }
-            },
-        ),
+        ("value: -999.0, rows: 60", |it| it.speed[900..960].fill(-999.0)),
+        ("SampledAndHeld|every_s: 0.0", |it| it.renew(10)),
+        ("[Voltage, Current, Speed], stretches: 3, longest_s: 0.39|from_s: 1.4|rows: 597", |it| {
+            for begin in [700, 1300, 1800] {
+                let signals = it.signals().into_iter();
+                signals.for_each(|values| hold(values, begin..begin + 200));
+            }
+        }),
     ];
     for (parts, change) in cases {
         let mut it = columns(0.002, 31);
         change(&mut it);
         let (masked, findings) = judged(it.run(), &unknown());
-        let text = masked.join(" ");
+        let text = format!("{masked:?}");
         let has_parts = parts.split('|').all(|part| text.contains(part));
         assert!(has_parts && findings.is_empty(), "{parts}: {text} {findings:#?}");
     }
@@ -446,30 +444,30 @@ fn cells_that_are_no_measurement_are_masked_and_counted() {
 fn failing_sensors_are_named() {
     use Kind::{Clipped, Frozen, Outlier, Overflow};
     let cases: [(Kind, &str, Change); 9] = [
-        (Overflow, "to the other sign|32768 counts|131.0", |it| {
+        (Overflow, "counts: Some(32768.0)|jump: 131.0", |it| {
             it.overflow(0.004, 32768.0);
         }),
-        (Overflow, "256 counts|230.4", |it| it.overflow(0.9, 256.0)),
-        (Frozen, "speed_rad_s repeats|its source froze", |it| {
+        (Overflow, "counts: Some(256.0)|jump: 230.", |it| it.overflow(0.9, 256.0)),
+        (Frozen, "Froze { key: \"speed_rad_s\"", |it| {
             it.count_edges(500.0);
             hold(&mut it.speed, 700..1100);
         }),
-        (Frozen, "for 600 rows|1.400", |it| {
+        (Frozen, "rows: 600, from_s: 1.4", |it| {
             hold(&mut it.speed, 700..1300);
         }),
-        (Frozen, "current_a repeats", |it| {
+        (Frozen, "Froze { key: \"current_a\"", |it| {
             hold(&mut it.current, 700..900);
         }),
-        (Clipped, "at exactly 70.000000 in|would go further", |it| {
+        (Clipped, "levels: [70.0]", |it| {
             it.speed.iter_mut().for_each(|w| *w = w.min(70.0));
         }),
-        (Clipped, "9.000000|-9.000000", |it| {
+        (Clipped, "levels: [9.0, -9.0]", |it| {
             it.current.iter_mut().for_each(|i| *i = i.clamp(-9.0, 9.0));
         }),
-        (Clipped, "8.000000|cut off", |it| {
+        (Clipped, "CutOff|8.0", |it| {
             it.current.iter_mut().for_each(|i| *i = i.clamp(-8.0, 8.0));
         }),
-        (Outlier, "no machine moves", |it| it.speed[700] += 900.0),
+        (Outlier, "Outlier", |it| it.speed[700] += 900.0),
     ];
     for (kind, parts, change) in cases {
         let mut it = columns(0.002, 33);
@@ -484,7 +482,7 @@ fn a_frozen_encoder_is_neither_open_terminals_nor_rest() {
     let events = held([0.0, 0.3, 1.0, 1.8, 2.6, 3.2], levels);
     let scenario = record(&paper(), events, 0.001, 4.0, 5);
     for (at, parts) in
-        [(97.125, "speed_rad_s repeats 97.125"), (0.0, "exactly 0 from 1.4|its sensor is dead")]
+        [(97.125, "Froze { key: \"speed_rad_s\", value: 97.125"), (0.0, "SpeedDead { from_s: 1.4")]
     {
         let mut it = Columns::of(scenario.clone());
         let row = it.time_s.partition_point(|time_s| *time_s < 1.4);
