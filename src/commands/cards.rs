@@ -13,9 +13,8 @@ use drivebench_bench::{
 };
 use drivebench_identify::misfit::Misfit;
 use drivebench_identify::nameplate::{self, Comparison, Fits};
-use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
 use drivebench_model::plant::{Model, Motor};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::text::number::{fixed, significant, with_std};
 
 /// Outcome, parameters on line, and whether the nameplate fits.
@@ -250,7 +249,7 @@ fn changed_parameters(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
     let sentences = rows.filter_map(|row| {
         let estimate = ParameterEstimate::find(found, row.key)?;
         let reason = estimate.reason.as_deref().unwrap_or_default();
-        let has_changed = reason.starts_with(INERTIA_HAS_CHANGED);
+        let has_changed = estimate.code == Some(Reason::InertiaChanged);
         let is_known = estimate.verdict == Verdict::Settled || has_changed;
         let (value, ratio) = (row.found.filter(|_| is_known)?, row.ratio?);
         let number = with_std(value, row.std);

@@ -31,7 +31,7 @@ use drivebench_identify::sanity::{self, Finding, Kind};
 use drivebench_identify::{lost_rows, start};
 use drivebench_model::numerics::statistics::median;
 use drivebench_model::plant::{Input, Model, ModelFile, Motor, Scenario, Slot};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Side, Verdict};
 
 /// Fewest samples of a hold-out: its errors are compared by blocks.
 const FEWEST_HELD_OUT: usize = 20;
@@ -711,8 +711,12 @@ fn not_identified(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEst
             unit: slot.unit(),
             verdict: Verdict::Fixed,
             reason: None,
+            code: None,
         },
-        _ => ParameterEstimate::not_observable(&key, slot.unit(), words::fault(&refusal.fault)),
+        _ => {
+            let reason = words::fault(&refusal.fault);
+            ParameterEstimate::not_observable(&key, slot.unit(), Reason::FaultyData, reason)
+        }
     }
 }
 

@@ -35,7 +35,7 @@ use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::{
     ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
 };
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Verdict};
 
 /// Find the motor's parameters in a recorded run, each with its uncertainty and verdict
 #[derive(clap::Args)]
@@ -151,8 +151,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let caution = caution(&combined, absolute.as_deref());
     if let Some(caution) = &caution {
         for parameter in absolute.iter_mut().flatten() {
-            parameter.verdict = Verdict::Invalid;
-            parameter.reason = Some(caution.clone());
+            parameter.set(Verdict::Invalid, Reason::Impossible, caution.as_str());
         }
     }
     let mut answer = Answer {
@@ -365,6 +364,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
         let about = |it: &&Finding| it.doubts.iter().any(|key| key.key() == open.key);
         if let (Some(reason), Some(finding)) = (&mut open.reason, findings.iter().find(about)) {
             *reason = format!("{}; {reason}", words::fault(&finding.fault));
+            open.code = Some(Reason::FaultyData);
         }
     }
     let limits = claims::limit(&mut found.parameters, run, scenario);

@@ -9,7 +9,7 @@ use drivebench_diagnose::{
     ResidualLights, Status, compare, diagnose,
 };
 use drivebench_model::plant::{Model, Motor, Scenario, testing};
-use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Reason, Run};
 
 /// Checks that every tag is closed in the right order; enough of HTML for pages of our own.
 fn assert_balanced(html: &str) {
@@ -71,11 +71,12 @@ fn the_verdict_is_first_and_every_figure_has_its_uncertainty() {
     let motor = |resistance: (f64, f64), inertia: (f64, f64), doubt: Option<&str>| {
         let uncertain = "relative uncertainty 80 % at a period of 10.0 ms";
         let found = |key, unit, (value, std), doubt: Option<&str>| {
-            ParameterEstimate::found(key, unit, value, std, doubt.map(str::to_owned))
+            let doubt = doubt.map(|doubt| (Reason::Uncertain, doubt.to_owned()));
+            ParameterEstimate::found(key, unit, value, std, doubt)
         };
         vec![
             found("resistance_ohm", "ohm", resistance, None),
-            ParameterEstimate::not_observable("inductance_h", "H", uncertain),
+            ParameterEstimate::not_observable("inductance_h", "H", Reason::NotExcited, uncertain),
             found("inertia_kg_m2", "kg.m2", inertia, doubt),
         ]
     };
@@ -208,7 +209,7 @@ fn the_page_of_a_run_is_whole() {
     ] {
         run.set_column(channel, cells, origin).unwrap();
     }
-    let doubt = Some("relative uncertainty 4.1 %".to_owned());
+    let doubt = Some((Reason::Uncertain, "relative uncertainty 4.1 %".to_owned()));
     let resistance = ParameterEstimate::found("resistance_ohm", "ohm", 1.12, 0.05, doubt);
     let report = RunReport {
         title: "Run \"first\" & only",

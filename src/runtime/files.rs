@@ -94,6 +94,7 @@ pub(crate) fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
             unit,
             verdict: serde_json::from_value(row["verdict"].clone()).ok()?,
             reason: row["reason"].as_str().map(str::to_owned),
+            code: None,
         })
     };
     parameters.as_object().into_iter().flatten().filter_map(read).collect()

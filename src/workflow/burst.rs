@@ -11,7 +11,7 @@ use drivebench_diagnose::{Diagnosis, Evidence, Status, diagnose};
 use drivebench_identify::output_error::FitError;
 use drivebench_identify::{start, weak_form};
 use drivebench_model::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::text::number::{fixed, with_std};
 
 #[derive(Clone, Debug, Default, Serialize)]
@@ -182,18 +182,22 @@ impl VoltageBalance {
     fn result(self, effects: Option<&str>, sentence: String) -> BurstResult {
         let electrical = [MotorKey::Resistance, MotorKey::Inductance].map(MotorKey::key);
         let doubt = match self.over_noise.filter(|over| *over > HOLDS_TIMES_NOISE) {
-            Some(over) => Some(format!(
-                "the residual of the voltage equation of the burst is {} times its noise: an effect is missing",
-                fixed(over, 2)
+            Some(over) => Some((
+                Reason::ModelMisses,
+                format!(
+                    "the residual of the voltage equation of the burst is {} times its noise: an effect is missing",
+                    fixed(over, 2)
+                ),
             )),
-            None => effects.map(|effects| format!("it depends on the form of {effects}")),
+            None => effects.map(|effects| {
+                (Reason::DependsOnAnother, format!("it depends on the form of {effects}"))
+            }),
         };
         let mut parameters = self.parameters;
         parameters.retain(|estimate| electrical.contains(&estimate.key.as_str()));
         for estimate in &mut parameters {
-            if let (Some(reason), Verdict::Settled) = (&doubt, estimate.verdict) {
-                estimate.verdict = Verdict::Searching;
-                estimate.reason = Some(reason.clone());
+            if let Some((code, reason)) = &doubt {
+                estimate.unsettle(*code, reason.as_str());
             }
         }
         BurstResult { parameters, sentence, ..BurstResult::default() }
@@ -213,7 +217,7 @@ mod tests {
     use drivebench_identify::noise::NoiseFloor;
     use drivebench_identify::output_error;
     use drivebench_model::plant::{Motor, testing};
-    use drivebench_model::sample::{Channel, Origin, Run};
+    use drivebench_model::sample::{Channel, Origin, Run, Verdict};
 
     const RATE_HZ: f64 = 10_000.0;
 

@@ -9,9 +9,8 @@
 use drivebench_bench::{Snapshot, TracePoint};
 use drivebench_diagnose::{RankedEffect, provisional_ranking};
 use drivebench_identify::noise::NoiseFloor;
-use drivebench_identify::recursive::INERTIA_HAS_CHANGED;
 use drivebench_model::plant::{Input, Model, Motor, MotorKey, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason};
 
 /// Bounds of memory and work, whatever the length of the run.
 struct Bounds {
@@ -86,8 +85,7 @@ impl RankingWatch {
         }
         self.last_s = self.last_s.max(newest);
         let inertia = ParameterEstimate::find(&snapshot.estimates, MotorKey::Inertia.key());
-        let reason = inertia.and_then(|inertia| inertia.reason.as_deref());
-        if reason.is_some_and(|reason| reason.starts_with(INERTIA_HAS_CHANGED)) {
+        if inertia.is_some_and(|inertia| inertia.code == Some(Reason::InertiaChanged)) {
             // Earlier samples are of another inertia: the present values do not fit them.
             self.clear();
         }
@@ -224,7 +222,7 @@ mod tests {
         let mut changed = snapshot(&run, 700, 200);
         let mut all = Arc::make_mut(&mut changed.estimates).iter_mut();
         let inertia = all.find(|own| own.key == MotorKey::Inertia.key()).unwrap();
-        inertia.unsettle(format!("{INERTIA_HAS_CHANGED}: begun again"));
+        inertia.unsettle(Reason::InertiaChanged, "begun again");
         watch.take(&changed);
         assert_eq!(watch.rank(), None);
         watch.take(&snapshot(&run, 1000, 300));

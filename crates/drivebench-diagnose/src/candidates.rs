@@ -17,7 +17,7 @@ use drivebench_identify::noise::FloorSource;
 use drivebench_identify::verdict::judge;
 use drivebench_model::findings;
 use drivebench_model::plant::{Effect, Slot};
-use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
+use drivebench_model::sample::{ParameterEstimate, Reason, TWO_SIDED_95};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
 const SUPPORTED_PROBABILITY: f64 = 0.9;
@@ -247,6 +247,7 @@ fn of_holdout(effect: &dyn Effect, onset: &Onset) -> Vec<ParameterEstimate> {
             let mut found = judge(&slot, value, Some(std), f64::NAN);
             let reason = found.reason.map(|reason| format!("; {reason}"));
             let reason = reason.unwrap_or_default();
+            found.code = Some(Reason::HoldoutOnly);
             found.reason = Some(format!("it happened in the hold-out only{reason}"));
             found
         })

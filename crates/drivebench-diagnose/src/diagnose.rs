@@ -24,7 +24,7 @@ use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::plant::effect::{self, CATALOGUE};
 use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Largest share of the explainable error for unknown parts and the disturbance together, beside the named effects.
 const HALF_SHARE: f64 = 0.5;
@@ -423,6 +423,7 @@ fn not_fitted(diagnosis: Diagnosis, reason: TrivialPrediction, base: &Standing) 
         _ => ParameterEstimate::not_observable(
             &own.key,
             own.unit,
+            Reason::ModelMisses,
             "the model predicts the hold-out no better than a trivial prediction",
         ),
     };

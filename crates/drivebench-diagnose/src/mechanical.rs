@@ -32,7 +32,7 @@ use drivebench_model::plant::{
     Balance as Equation, Effect, Input, Instant, Model, ModelError, MotorKey, ParameterRole,
     ParameterSpec, Scenario, ShaftAngle, Slot, State,
 };
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal;
 
 /// Settings of the fit of a balance of torques.
@@ -570,7 +570,7 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
         };
         let Some(at) = inside.iter().position(|inside| *inside == place) else {
             let reason = "held at zero: its estimate is negative, and friction cannot drive";
-            return searching(slot, Some(0.0), reason);
+            return searching(slot, Some(0.0), Reason::Impossible, reason);
         };
         let variance = solution.covariance[(at, at)];
         let std = variance.is_finite().then(|| variance.max(0.0).sqrt());
@@ -584,7 +584,7 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
     })
 }
 
-fn searching(slot: &Slot, value: Option<f64>, reason: &str) -> ParameterEstimate {
+fn searching(slot: &Slot, value: Option<f64>, code: Reason, reason: &str) -> ParameterEstimate {
     ParameterEstimate {
         key: slot.key(),
         value,
@@ -592,24 +592,21 @@ fn searching(slot: &Slot, value: Option<f64>, reason: &str) -> ParameterEstimate
         unit: slot.unit(),
         verdict: Verdict::Searching,
         reason: Some(reason.to_owned()),
+        code: Some(code),
     }
 }
 
 fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
     if is_fixed(model, slot) {
-        return ParameterEstimate {
-            std: Some(0.0),
-            verdict: Verdict::Fixed,
-            reason: None,
-            ..searching(slot, model.get(slot), "")
-        };
+        let fixed = ParameterEstimate::fixed(slot.key(), slot.unit(), f64::NAN);
+        return ParameterEstimate { value: model.get(slot), ..fixed };
     }
     if acts(model, slot) {
         let reason = "found by search; its uncertainty is not known";
-        return searching(slot, model.get(slot), reason);
+        return searching(slot, model.get(slot), Reason::Uncertain, reason);
     }
     let reason = "it is not in the torque balance, and the run has no voltage";
-    ParameterEstimate::not_observable(&slot.key(), slot.unit(), reason)
+    ParameterEstimate::not_observable(&slot.key(), slot.unit(), Reason::SignalMissing, reason)
 }
 
 /// Blocks of at least five correlation times of the residual, but never fewer than twenty.

@@ -7,7 +7,7 @@ use drivebench_identify::balance::TorqueRows;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, Fit, FitError};
 use drivebench_model::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason};
 
 /// Figures of one signal.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -159,13 +159,10 @@ impl Fitted {
         let mut judged = self.clone();
         if floor > 0.0 && nrms > SETTLED_BELOW_RATIO * floor {
             for own in &mut judged.parameters {
-                if own.verdict == Verdict::Settled {
-                    own.verdict = Verdict::Searching;
-                    own.reason = Some(format!(
-                        "the model leaves {:.1} times the noise of the held-out run",
-                        nrms / floor
-                    ));
-                }
+                let times = nrms / floor;
+                let reason =
+                    format!("the model leaves {times:.1} times the noise of the held-out run");
+                own.unsettle(Reason::ModelMisses, reason);
             }
         }
         judged
@@ -180,10 +177,8 @@ impl Fitted {
                 rest.is_some_and(|rest| rest.starts_with('.'))
             };
             for own in self.parameters.iter_mut().filter(|own| is_own(&own.key)) {
-                if own.verdict == Verdict::Settled {
-                    own.verdict = Verdict::Searching;
-                    own.reason = Some(format!("these runs do not distinguish {id} from {rival}"));
-                }
+                let reason = format!("these runs do not distinguish {id} from {rival}");
+                own.unsettle(Reason::Ambiguous, reason);
             }
         }
         self
@@ -293,6 +288,7 @@ mod tests {
             unit: "",
             verdict: Verdict::Settled,
             reason: None,
+            code: None,
         };
         let stribeck: &[(&str, f64, Option<f64>)] = &[
             ("stribeck_friction.stribeck_n_m", 5e-3, Some(2.2e-2)),

@@ -7,7 +7,7 @@
 
 use super::verdict;
 use drivebench_model::plant::{MotorKey, Slot};
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 
 /// One run with the torque constant that its scheme assumed.
 #[derive(Clone, Copy, Debug)]
@@ -33,22 +33,24 @@ pub fn absolute(
     added_kg_m2: f64,
 ) -> Vec<ParameterEstimate> {
     let keys = [MotorKey::TorqueConstant, MotorKey::Inertia, MotorKey::LoadTorque];
-    let none = |reason: &str| -> Vec<ParameterEstimate> {
-        keys.map(|key| verdict::unknown(key, reason)).to_vec()
+    let none = |code: Reason, reason: &str| -> Vec<ParameterEstimate> {
+        keys.map(|key| verdict::unknown(key, code, reason)).to_vec()
     };
     let (Some((a1, s1)), Some((a2, s2))) = (
         without.over_torque_constant(MotorKey::Inertia),
         with.over_torque_constant(MotorKey::Inertia),
     ) else {
-        return none("the inertia is not observable in one of the two runs");
+        let reason = "the inertia is not observable in one of the two runs";
+        return none(Reason::NotInEveryRun, reason);
     };
     let difference = a2 - a1;
     let difference_std = s1.hypot(s2);
     if difference < 3.0 * difference_std {
-        return none(&format!(
+        let reason = format!(
             "the added inertia changes J/Kt by {difference:.3e} kg.m2.A/(N.m), with a standard deviation of \
              {difference_std:.1e}: add more, or excite more"
-        ));
+        );
+        return none(Reason::NotExcited, &reason);
     }
     let kt = added_kg_m2 / difference;
     // Propagation of errors: d(ln Kt) = -d(a2 - a1)/difference; J = D a1/(a2 - a1) depends on a1 twice.
@@ -57,7 +59,11 @@ pub fn absolute(
     let key = MotorKey::LoadTorque;
     let load = match without.over_torque_constant(key) {
         Some((load, std)) => judged(key, kt * load, (kt * std).hypot(load * kt_std)),
-        None => verdict::unknown(key, "not observable in the run without the added inertia"),
+        None => verdict::unknown(
+            key,
+            Reason::NotInEveryRun,
+            "not observable in the run without the added inertia",
+        ),
     };
     vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),

@@ -17,7 +17,7 @@ use drivebench_model::plant::effect::Sums;
 use drivebench_model::plant::{
     ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Scenario, Slot,
 };
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::text::number::with_std;
 
 /// The reason why an effect is not a term of a balance that is linear in its coefficients; `None` where it is one.
@@ -83,7 +83,7 @@ impl Unknown {
         let (key, unit) = (self.slot.key(), self.slot.unit());
         match self.fixed {
             Some(value) => ParameterEstimate::fixed(key, unit, value),
-            None => ParameterEstimate::not_observable(&key, unit, reason),
+            None => ParameterEstimate::not_observable(&key, unit, Reason::NotExcited, reason),
         }
     }
 }
@@ -213,7 +213,8 @@ pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
         with_std(value, std),
         found.unit
     );
-    ParameterEstimate::not_observable(&found.key, found.unit, reason)
+    let code = Reason::DependsOnAnother;
+    ParameterEstimate::not_observable(&found.key, found.unit, code, reason)
 }
 
 /// Method by which the derivative in the torque balance is avoided or estimated.

@@ -11,7 +11,7 @@ use super::{physical, start};
 use drivebench_model::numerics::least_squares::inverse_where_determined;
 use drivebench_model::numerics::levenberg_marquardt::{Problem as _, jacobian_at};
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Sets the reason of each free parameter of the motor without a value. `given`: the model of the user.
 pub(super) fn explain(
@@ -33,8 +33,8 @@ pub(super) fn explain(
         return;
     };
     for parameter in parameters.iter_mut().filter(is_open) {
-        if let Some(reason) = bound.reason(&parameter.key, fit, misfit, scenario) {
-            parameter.reason = Some(reason);
+        if let Some((code, reason)) = bound.reason(&parameter.key, fit, misfit, scenario) {
+            parameter.set(Verdict::NotObservable, code, reason);
         }
     }
 }
@@ -74,25 +74,37 @@ impl CramerRaoBound {
         Some(Self { least: (0..free.len()).map(least).collect(), motor, free })
     }
 
-    fn reason(&self, key: &str, fit: &Fit, misfit: &Misfit, scenario: &Scenario) -> Option<String> {
+    fn reason(
+        &self,
+        key: &str,
+        fit: &Fit,
+        misfit: &Misfit,
+        scenario: &Scenario,
+    ) -> Option<(Reason, String)> {
         let index = self.free.iter().position(|slot| slot.key() == key)?;
         let Some(least) = self.least[index] else {
-            return Some(self.collinear(index));
+            return Some((Reason::OnlyTogether, self.collinear(index)));
         };
         if least > NOT_OBSERVABLE {
-            return self.too_slow(key, scenario);
+            let reason = self.too_slow(key, scenario)?;
+            return Some((Reason::SampledTooSlowly, reason));
         }
         let bound = format!("the run determines it to {:.1} % at best", 100.0 * least.max(1e-3));
-        Some(if !fit.minimum.converged {
-            format!("{bound}, and the fit had not converged: give starting values with --model")
-        } else if let Some(misfit) = misfit.worst_text() {
-            format!(
-                "{bound}, but the residual of the model is {misfit}: a missing effect or a fault of a signal hides it; see \
+        let start = "give starting values with --model";
+        let (code, why) = match misfit.worst_text() {
+            _ if !fit.minimum.converged => {
+                (Reason::NotConverged, format!("and the fit had not converged: {start}"))
+            }
+            Some(misfit) => (
+                Reason::ModelMisses,
+                format!(
+                    "but the residual of the model is {misfit}: a missing effect or a fault of a signal hides it; see \
                  drivebench diagnose"
-            )
-        } else {
-            format!("{bound}, and the fit ended elsewhere: give starting values with --model")
-        })
+                ),
+            ),
+            None => (Reason::NotConverged, format!("and the fit ended elsewhere: {start}")),
+        };
+        Some((code, format!("{bound}, {why}")))
     }
 
     /// Of a parameter whose column is a linear combination of others.

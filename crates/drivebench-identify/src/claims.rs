@@ -8,7 +8,7 @@ use super::verdict::refuse;
 use drivebench_model::numerics::statistics::{largest, median};
 use drivebench_model::plant::effect::VOLTAGE_DROP;
 use drivebench_model::plant::{Input, MotorKey, Scenario};
-use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run, Side, Verdict};
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Reason, Run, Side, Verdict};
 use drivebench_model::signal;
 
 /// Whether a voltage is more than 2 % of the largest: the motor is energised.
@@ -44,7 +44,8 @@ pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario
     }
     let back_emf = MotorKey::BackEmf.key();
     for parameter in parameters.iter_mut().filter(|parameter| parameter.key == back_emf) {
-        parameter.unsettle("without a current it includes viscous friction: it is Ke + R B/Kt");
+        let reason = "without a current it includes viscous friction: it is Ke + R B/Kt";
+        parameter.unsettle(Reason::SignalMissing, reason);
     }
     if !has_no_scale(parameters, scenario) {
         return;
@@ -54,7 +55,7 @@ pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario
     for parameter in parameters.iter_mut().filter(is_estimated) {
         let reason = "without a current no run separates resistance, inductance, inertia and load torque: voltage and speed determine \
                       only L/R, R J and R Mc; measure the current, or fix one of them in the model file";
-        refuse(parameter, reason);
+        refuse(parameter, Reason::SignalMissing, reason);
     }
 }
 
@@ -108,14 +109,15 @@ impl Claim {
         match self.weight {
             Weight::Remark => {
                 if parameter.value.is_some() && parameter.verdict != Verdict::Fixed {
+                    parameter.code.get_or_insert(Reason::SignalOrigin);
                     parameter.reason.get_or_insert_with(|| self.reason.clone());
                 }
             }
-            Weight::Dependent => parameter.unsettle(&*self.reason),
+            Weight::Dependent => parameter.unsettle(Reason::SignalOrigin, &*self.reason),
             Weight::Wrong => {
                 if matches!(parameter.verdict, Verdict::Settled | Verdict::Searching) {
-                    parameter.verdict = Verdict::Invalid;
-                    parameter.reason = Some(self.reason.clone());
+                    let reason = self.reason.clone();
+                    parameter.set(Verdict::Invalid, Reason::SignalOrigin, reason);
                 }
             }
         }
@@ -264,7 +266,7 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
 mod tests {
     use super::*;
     use crate::testing::*;
-    use crate::verdict::judge;
+    use crate::verdict::{judge, unknown};
     use drivebench_model::plant::Slot;
 
     /// Voltage, current and speed in 100 rows; their values do not matter.
@@ -357,7 +359,7 @@ mod tests {
         let supply = of_supply(Channel::Current);
         let mut parameters = settled();
         parameters[0].verdict = Verdict::Fixed;
-        parameters[1] = ParameterEstimate::not_observable("inductance_h", "H", "too slow");
+        parameters[1] = unknown(MotorKey::Inductance, Reason::SampledTooSlowly, "too slow");
         let before = parameters.clone();
         let scenario = Scenario::from_run(&supply).unwrap();
         limit(&mut parameters, &supply, &scenario);
@@ -371,8 +373,7 @@ mod tests {
         let reasons = |run: &Run, verdict: Verdict| {
             let keys = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
             let reason = "the run does not excite it";
-            let mut found =
-                keys.map(|key| ParameterEstimate::not_observable(key.key(), key.unit(), reason));
+            let mut found = keys.map(|key| unknown(key, Reason::NotExcited, reason));
             found[0].verdict = verdict;
             limit(&mut found, run, &Scenario::from_run(run).unwrap());
             found.map(|parameter| parameter.reason.unwrap())

@@ -7,6 +7,7 @@ use crate::scheme::{Data, default_for};
 use crate::testing::KEYS;
 use drivebench_model::plant::testing::record;
 use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::Reason;
 
 const FRICTION: &str = "load_torque_n_m";
 const INERTIA: &str = "inertia_kg_m2";
@@ -127,7 +128,7 @@ fn near_zero_a_change_has_its_unit_and_given_values_are_open() {
     let not_observable = ParameterEstimate::not_observable;
     let mut before = with_friction(0.001, 0.01);
     before.push(ParameterEstimate::fixed(INERTIA, "kg.m2", 0.004));
-    before.push(not_observable("inductance_h", "H", "sample faster"));
+    before.push(not_observable("inductance_h", "H", Reason::SampledTooSlowly, "sample faster"));
     let drift = compared(&[before], &with_friction(0.2, 0.01));
     let change = &drift.changes[0];
     assert!(change.drifted && change.percent.is_none());
@@ -141,7 +142,7 @@ fn near_zero_a_change_has_its_unit_and_given_values_are_open() {
     assert!(nothing.changes.is_empty());
     // A parameter that is no longer observable is open, whatever the others are.
     let mut after = run(&[(INERTIA, 0.0045, 1e-5)]);
-    after.push(not_observable(FRICTION, "N.m", "it never turns back"));
+    after.push(not_observable(FRICTION, "N.m", Reason::NotExcited, "it never turns back"));
     let lost = compared(&[with_both(0.45)], &after);
     assert_eq!(lost.in_question().count(), 0);
     assert!(lost.lost().map(|one| one.key.as_str()).eq([FRICTION]));

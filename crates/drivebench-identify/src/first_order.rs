@@ -17,7 +17,7 @@ use drivebench_model::numerics::least_squares::{clustered, inverse_where_determi
 use drivebench_model::numerics::levenberg_marquardt::{self, Options, Problem};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Scenario};
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 
 /// Fewest speeds of a fit.
 const FEWEST: usize = 8;
@@ -153,7 +153,8 @@ impl FirstOrder {
             let key = format!("first_order.{key}");
             let relative = std / value.abs();
             let doubt = (relative > SETTLED)
-                .then(|| format!("relative uncertainty {:.1} %", 100.0 * relative));
+                .then(|| format!("relative uncertainty {:.1} %", 100.0 * relative))
+                .map(|reason| (Reason::Uncertain, reason));
             let found = ParameterEstimate::found(key, unit, value, std, doubt);
             (value > 0.0 && std.is_finite()).then_some(found)
         };

@@ -25,7 +25,7 @@ use drivebench_model::numerics::levenberg_marquardt::Problem as _;
 use drivebench_model::numerics::statistics::{BAND_99, largest};
 use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
 use drivebench_model::plant::{Balance, Model, Scenario, Slot, typical_size};
-use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Verdict};
 
 /// Ratio to the noise up to which a residual counts as noise, if the noise is known exactly.
 const NOISE_RATIO: f64 = 1.1;
@@ -184,12 +184,12 @@ impl Misfit {
             let relative = wider / value.abs().max(f64::MIN_POSITIVE);
             let (percent, is_wide) = (100.0 * relative, relative > settled_below(&parameter.key));
             if is_wide && parameter.verdict == Verdict::Searching {
-                parameter.reason = Some(format!("relative uncertainty {percent:.1} %"));
+                let reason = format!("relative uncertainty {percent:.1} %");
+                parameter.set(Verdict::Searching, Reason::Uncertain, reason);
             }
             if let Some(residual) = self.worst_text().filter(|_| is_wide && converged) {
                 let reason = format!("the residual is {residual}: uncertain by {percent:.1} %");
-                parameter.verdict = Verdict::Searching;
-                parameter.reason = Some(reason);
+                parameter.set(Verdict::Searching, Reason::ModelMisses, reason);
             }
         }
     }
@@ -244,8 +244,8 @@ pub fn widen_by_forms_of_torque(
         let settled = settled_below(&parameter.key) * value;
         if wider > settled && (std <= settled || variance > std * std) {
             let percent = 100.0 * change / value;
-            parameter.verdict = Verdict::Searching;
-            parameter.reason = Some(format!("{form}, if present, changes it by {percent:.1} %"));
+            let reason = format!("{form}, if present, changes it by {percent:.1} %");
+            parameter.set(Verdict::Searching, Reason::ModelMisses, reason);
         }
     }
 }

@@ -304,6 +304,8 @@ fn explained(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::verdict;
+    use drivebench_model::sample::Reason;
 
     /// The values of the nameplate times these factors, each known to 1 %.
     fn estimates(factors: [f64; 5]) -> Vec<ParameterEstimate> {
@@ -347,7 +349,8 @@ mod tests {
     #[test]
     fn a_value_that_is_not_observable_is_not_compared() {
         let mut found = estimates([1.0; 5]);
-        found[1] = ParameterEstimate::not_observable("inductance_h", "H", "period too long");
+        found[1] =
+            verdict::unknown(MotorKey::Inductance, Reason::SampledTooSlowly, "period too long");
         let mut nameplate = Motor::zk_22fc();
         nameplate.clear(MotorKey::LoadTorque);
         let comparison = compare(&nameplate, &found);

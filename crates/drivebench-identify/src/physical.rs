@@ -4,7 +4,7 @@
 use super::verdict;
 use drivebench_model::numerics::statistics::{extent, finite, largest_but_outliers, mean};
 use drivebench_model::plant::{Input, LEAST_TIME_CONSTANT, Motor, MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::text::number::significant;
 
 struct Settings {
@@ -165,7 +165,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Sc
                 parameter.unit,
                 significant(limit, 2)
             );
-            verdict::refuse(parameter, reason);
+            verdict::refuse(parameter, Reason::Impossible, reason);
         }
     }
 }

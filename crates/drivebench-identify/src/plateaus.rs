@@ -9,7 +9,7 @@ use super::verdict::{NOT_OBSERVABLE, SETTLED};
 use drivebench_model::numerics::least_squares;
 use drivebench_model::numerics::statistics::{extent, finite, mean};
 use drivebench_model::plant::{MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Means over the last half of one level of at least four samples, and the variance of the mean current.
 struct Level {
@@ -121,7 +121,8 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
             _ => (relative > SETTLED).then(|| format!("from {} steady states", levels.len())),
         };
         let is_sound = is_observable && value > 0.0 && relative < NOT_OBSERVABLE;
-        is_sound.then(|| ParameterEstimate::found(key.key(), key.unit(), value, std, reason))
+        let doubt = reason.map(|reason| (Reason::MethodBiased, reason));
+        is_sound.then(|| ParameterEstimate::found(key.key(), key.unit(), value, std, doubt))
     };
     KEYS.into_iter().enumerate().filter_map(of).collect()
 }

@@ -10,7 +10,7 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 use super::first_order::FirstOrder;
 use super::verdict::{SETTLED, settled_below};
 use drivebench_model::numerics::statistics::{mean, variance};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// One parameter over several runs.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -89,15 +89,19 @@ fn one(
     let relative = |deviation: f64| 100.0 * deviation / value.abs().max(f64::MIN_POSITIVE);
     let mut reasons = Vec::new();
     if differs {
-        reasons.push(format!(
-            "differs from run to run by {:.2} %, and the noise within a run explains {:.2} %: \
-             a change between the runs (temperature, load) that is not in the model",
-            relative(spread.sqrt()),
-            relative(within.sqrt())
+        reasons.push((
+            Reason::RunsDiffer,
+            format!(
+                "differs from run to run by {:.2} %, and the noise within a run explains {:.2} %: \
+                 a change between the runs (temperature, load) that is not in the model",
+                relative(spread.sqrt()),
+                relative(within.sqrt())
+            ),
         ));
     }
     if values.len() < all.len() {
-        reasons.push(format!("observable in {} of {} runs", values.len(), all.len()));
+        let reason = format!("observable in {} of {} runs", values.len(), all.len());
+        reasons.push((Reason::NotInEveryRun, reason));
     }
     // An estimate with a small deviation that is not settled has a reason that further runs do not remove.
     let settled_std = settled_below(&first.key);
@@ -105,14 +109,17 @@ fn one(
         let is_small = |(value, std): (f64, f64)| std <= settled_std * value.abs();
         p.verdict == Verdict::Searching && p.value.zip(p.std).is_some_and(is_small)
     };
-    let doubt = all.iter().find(is_doubted).and_then(|p| p.reason.clone());
+    let doubt = all.iter().find(is_doubted).and_then(|p| p.code.zip(p.reason.clone()));
     let settled = relative(deviation) <= 100.0 * SETTLED && doubt.is_none();
     reasons.extend(doubt);
     if !settled && reasons.is_empty() {
-        reasons.push(format!("relative uncertainty {:.1} %", relative(deviation)));
+        let reason = format!("relative uncertainty {:.1} %", relative(deviation));
+        reasons.push((Reason::Uncertain, reason));
     }
     let mut estimate = ParameterEstimate::found(&first.key, first.unit, value, std, None);
-    estimate.reason = (!reasons.is_empty()).then(|| reasons.join("; "));
+    let (codes, texts): (Vec<Reason>, Vec<String>) = reasons.into_iter().unzip();
+    estimate.code = codes.first().copied();
+    estimate.reason = estimate.code.map(|_| texts.join("; "));
     if !settled {
         estimate.verdict = Verdict::Searching;
     }
@@ -129,10 +136,10 @@ fn differing(joint: &ParameterEstimate, spread: Option<f64>) -> ParameterEstimat
     joint.std = joint.std.map(|std| std.max(spread));
     let percent = 100.0 * spread / value.abs().max(f64::MIN_POSITIVE);
     if percent > 100.0 * SETTLED {
-        joint.verdict = Verdict::Searching;
-        joint.reason = Some(format!(
+        let reason = format!(
             "the runs differ by {percent:.1} %, more than their noise: it depends on the level of the voltage"
-        ));
+        );
+        joint.set(Verdict::Searching, Reason::RunsDiffer, reason);
     }
     joint
 }
@@ -150,9 +157,11 @@ fn by_chance(spread: f64, within: f64, runs: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::verdict;
+    use drivebench_model::plant::MotorKey;
 
     fn run_with(value: f64, std: f64, doubt: Option<&str>) -> Vec<ParameterEstimate> {
-        let doubt = doubt.map(str::to_owned);
+        let doubt = doubt.map(|doubt| (Reason::ModelMisses, doubt.to_owned()));
         let found = ParameterEstimate::found("resistance_ohm", "ohm", value, std, doubt);
         vec![found]
     }
@@ -162,7 +171,7 @@ mod tests {
     }
 
     fn open() -> Vec<ParameterEstimate> {
-        let open = ParameterEstimate::not_observable("resistance_ohm", "ohm", "at rest");
+        let open = verdict::unknown(MotorKey::Resistance, Reason::NotExcited, "at rest");
         vec![open]
     }
 

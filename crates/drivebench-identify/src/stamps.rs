@@ -6,7 +6,7 @@
 
 use super::verdict::{self, judge};
 use drivebench_model::plant::{MotorKey, Scenario, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Standard deviation of one sample of a signal by its stamp; zero for a stamp of the drive.
 pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
@@ -46,7 +46,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], half_width_s: f64) {
             1e3 * constant_s
         );
         for parameter in parameters.iter_mut().filter(|p| p.key == key.key()) {
-            verdict::refuse(parameter, reason.clone());
+            verdict::refuse(parameter, Reason::StampsUncertain, reason.clone());
         }
     }
 }

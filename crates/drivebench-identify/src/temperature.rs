@@ -4,7 +4,7 @@ use super::balance::scored_s;
 use super::scheme::Identified;
 use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{MotorKey, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Verdict};
 
 /// Temperature coefficient of copper's resistance at 20 C, 1/K (IEC 60028: 1/254.45 K).
 pub const COPPER_PER_K: f64 = 0.003_93;
@@ -35,16 +35,18 @@ fn at_20_c(
     scenario: &Scenario,
 ) -> (ParameterEstimate, Option<String>) {
     let unit = MotorKey::Resistance.unit();
-    let no = |reason: String| ParameterEstimate::not_observable(KEY, unit, reason);
+    let no =
+        |code: Reason, reason: String| ParameterEstimate::not_observable(KEY, unit, code, reason);
     let Some(value) = resistance.value else {
         let reason = resistance.reason.as_deref().unwrap_or("no reason given");
-        return (no(format!("no resistance was found: {reason}")), None);
+        let code = resistance.code.unwrap_or(Reason::DependsOnAnother);
+        return (no(code, format!("no resistance was found: {reason}")), None);
     };
     let readings = readings(run, scenario);
     if readings.is_empty() {
         let reason = "the winding's temperature is not known: the run has no temperature_c; \
                       resistance_ohm is that at the temperature of the run (copper: 0.39 % per K)";
-        return (no(reason.to_owned()), None);
+        return (no(Reason::TemperatureUnknown, reason.to_owned()), None);
     }
     let mean_c = statistics::mean(&readings);
     let (least_c, most_c) = statistics::extent(&readings);
@@ -53,7 +55,7 @@ fn at_20_c(
         let reason = format!(
             "temperature_c is {mean_c:.1} C on average, with readings outside -60 to 300 C: a sensor fault, or another unit"
         );
-        return (no(reason), None);
+        return (no(Reason::FaultyData, reason), None);
     }
     // Uniform distribution over the temperatures of the run.
     let spread_k = (most_c - least_c) / 12f64.sqrt();
@@ -76,6 +78,7 @@ fn at_20_c(
         unit,
         verdict,
         reason: resistance.reason.clone(),
+        code: resistance.code,
     };
     (at_20, Some(note))
 }
@@ -94,6 +97,7 @@ fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
 mod tests {
     use super::*;
     use crate::testing::{every, paper, put, run_of};
+    use crate::verdict;
 
     fn run(temperature: Option<fn(f64) -> f64>) -> (Run, Scenario) {
         let times = every(0.1, 10.0);
@@ -140,7 +144,7 @@ mod tests {
         assert_eq!(at_20.verdict, Verdict::NotObservable);
         assert!(at_20.reason.unwrap().contains("not known"));
         let (warm, scenario) = run(Some(|_| 40.0));
-        let none = ParameterEstimate::not_observable("resistance_ohm", "ohm", "no current");
+        let none = verdict::unknown(MotorKey::Resistance, Reason::SignalMissing, "no current");
         let (at_20, _) = at_20_c(&none, &warm, &scenario);
         assert!(at_20.value.is_none() && at_20.reason.unwrap().contains("no current"));
         let (broken, scenario) = run(Some(|_| 6553.5));

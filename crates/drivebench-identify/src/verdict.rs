@@ -1,7 +1,7 @@
 //! Verdict on each fitted parameter by its relative standard deviation.
 
 use drivebench_model::plant::{MotorKey, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Relative standard deviation above which a positive parameter is not observable.
 pub(super) const NOT_OBSERVABLE: f64 = 0.5;
@@ -17,20 +17,21 @@ pub(super) fn settled_below(key: &str) -> f64 {
 }
 
 /// Makes a parameter not observable.
-pub(super) fn refuse(parameter: &mut ParameterEstimate, reason: impl Into<String>) {
-    *parameter = ParameterEstimate::not_observable(&parameter.key, parameter.unit, reason);
+pub(super) fn refuse(parameter: &mut ParameterEstimate, code: Reason, reason: impl Into<String>) {
+    *parameter = ParameterEstimate::not_observable(&parameter.key, parameter.unit, code, reason);
 }
 
 /// A parameter of the motor that is not observable.
-pub(super) fn unknown(key: MotorKey, reason: impl Into<String>) -> ParameterEstimate {
-    ParameterEstimate::not_observable(key.key(), key.unit(), reason)
+pub(super) fn unknown(key: MotorKey, code: Reason, reason: impl Into<String>) -> ParameterEstimate {
+    ParameterEstimate::not_observable(key.key(), key.unit(), code, reason)
 }
 
 /// Verdict on one fitted value by its standard deviation; `None`, or either not finite: it is not determined.
 pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> ParameterEstimate {
     let (key, unit) = (slot.key(), slot.unit());
     let is_inductance = matches!(slot, Slot::Motor(MotorKey::Inductance));
-    let open = |reason: String| ParameterEstimate::not_observable(&key, unit, reason);
+    let unseen = if is_inductance { Reason::SampledTooSlowly } else { Reason::NotExcited };
+    let open = |reason: String| ParameterEstimate::not_observable(&key, unit, unseen, reason);
     let at_period = |what: &str| {
         let period_ms = 1e3 * period_s;
         format!("{what} at a period of {period_ms:.1} ms: sample faster, or use burst capture")
@@ -49,7 +50,8 @@ pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> Parame
     }
     if positive && value < -1.96 * std {
         let reason = "negative, which is impossible: check signs, units and columns of the signals";
-        let found = ParameterEstimate::found(key, unit, value, std, Some(reason.to_owned()));
+        let doubt = Some((Reason::Impossible, reason.to_owned()));
+        let found = ParameterEstimate::found(key, unit, value, std, doubt);
         return ParameterEstimate { verdict: Verdict::Invalid, ..found };
     }
     if positive && relative > NOT_OBSERVABLE {
@@ -63,9 +65,9 @@ pub fn judge(slot: &Slot, value: f64, std: Option<f64>, period_s: f64) -> Parame
     // A coefficient of an effect may be zero within its uncertainty (2.58 standard deviations, 1 % two-sided); its value stays.
     let settled = relative <= if positive { SETTLED } else { SETTLED_EFFECT };
     let reason = if !positive && relative > 1.0 / 2.58 {
-        "not significantly different from zero".to_owned()
+        (Reason::MayBeZero, "not significantly different from zero".to_owned())
     } else {
-        uncertainty(relative)
+        (Reason::Uncertain, uncertainty(relative))
     };
     ParameterEstimate::found(key, unit, value, std, (!settled).then_some(reason))
 }

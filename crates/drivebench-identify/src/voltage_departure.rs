@@ -4,7 +4,7 @@
 //! the command as the input is biased then.
 
 use drivebench_model::numerics::statistics::{largest, robust_deviation};
-use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Reason, Run};
 
 /// Rows in which the measured voltage is not the commanded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,7 +28,7 @@ impl Departure {
     /// Changes every settled verdict: the estimates depend on the commanded voltage.
     pub fn limit(&self, parameters: &mut [ParameterEstimate]) {
         for parameter in parameters {
-            parameter.unsettle(self.sentence());
+            parameter.unsettle(Reason::VoltageLimited, self.sentence());
         }
     }
 }

@@ -29,7 +29,7 @@ use drivebench_model::numerics::{least_squares, statistics};
 use drivebench_model::plant::{
     Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot,
 };
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
 
 struct Settings {
@@ -138,7 +138,8 @@ fn estimate(
              the run does not excite it",
             errors.signal, SETTINGS.least_signal
         );
-        return ParameterEstimate::not_observable(&unknown.slot.key(), unknown.slot.unit(), reason);
+        let (key, unit) = (unknown.slot.key(), unknown.slot.unit());
+        return ParameterEstimate::not_observable(&key, unit, Reason::NotExcited, reason);
     }
     let systematic = errors.sampling.powi(2) + errors.noise.powi(2);
     let std = (variance + systematic).sqrt();

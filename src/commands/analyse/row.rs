@@ -398,6 +398,7 @@ fn residual(one: &OneRun) -> Option<(f64, &'static str)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drivebench_model::sample::Reason;
 
     #[test]
     fn a_cell_is_one_line_and_a_finite_number() {
@@ -425,7 +426,12 @@ mod tests {
             notes: Vec::new(),
         };
         let reason = "no diagnosis: the hold-out is short".to_owned();
-        let nothing = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
+        let nothing = ParameterEstimate::not_observable(
+            "inductance_h",
+            "H",
+            Reason::SampledTooSlowly,
+            "sample faster",
+        );
         found.one = Some(of(nothing));
         assert_eq!(judged(Ok(()), &found), (Status::NotIdentified, "sample faster".to_owned()));
         assert_eq!(judged(refused(), &found), (Status::NotIdentified, reason.clone()));

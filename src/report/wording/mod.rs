@@ -67,6 +67,7 @@ pub const CODES: &[(&str, &[&str])] = &[
     ("nameplate: rows", plates::RowFinding::CODES),
     ("nameplate: cause_codes", plates::NameplateCause::CODES),
     ("nameplate: doubt_code", plates::NameplateDoubt::CODES),
+    ("parameters: reason_code", drivebench_model::sample::Reason::CODES),
     ("findings: a signal", faults::SignalFault::CODES),
     ("findings: the assignment of columns", faults::ColumnFault::CODES),
     ("findings: a unit", faults::UnitFault::CODES),

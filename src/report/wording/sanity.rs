@@ -464,9 +464,10 @@ pub fn masked(masked: &Masked) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drivebench_identify::sanity::Kind;
 
     #[test]
-    fn a_fault_has_its_figures_and_its_remedy() {
+    fn a_fault_has_its_figures_and_its_remedy_which_stands_once() {
         let swapped = Mapping {
             keys: ["voltage_v", "current_a", "speed_rad_s"],
             place: [1, 0, 2],
@@ -475,55 +476,31 @@ mod tests {
             left: [[0.4, 0.9], [0.01, 0.02]],
         };
         let reversed = Mapping { place: [0, 1, 2], reversed: Some(2), ..swapped.clone() };
-        let model = Evidence::Model { back_emf: (0.5, 0.05), resistance: None };
-        for (found, sentence, remedy) in [
-            (
-                Fault::from(ColumnFault::Exchanged(swapped)),
-                "it seems that voltage and current are swapped: as mapped, the balances give an inertia of -2.000e-4; the \
-                 other way round they leave 1 % and 2 %, with every parameter positive",
-                "map them as --map-holdout voltage_v=(column of current_a),current_a=(column of voltage_v)",
-            ),
-            (
-                ColumnFault::SignReversed(reversed).into(),
-                "it seems that the sign of the speed is reversed: as mapped, the balances give an inertia of -2.000e-4; the \
-                 other way round they leave 1 % and 2 %, with every parameter positive",
-                "map them as --map-holdout speed_rad_s=(column of speed_rad_s)*-1",
-            ),
-            (
-                UnitFault::Gear { evidence: model, ratio: 10.0 }.into(),
-                "this run gives a back-EMF constant of 5.0000e-1 V.s/rad, the model 5.0000e-2 (0.100 times as much), the same \
-                 winding: does the encoder stand on the slow side of a gear of 10.000?",
-                "if so, convert it with --map-holdout speed_rad_s=COLUMN*10.000000",
-            ),
-            (
-                UnitFault::OtherTimeUnit { unit: "us", factor: 1e6, over_angle: 1e6 }.into(),
-                "time_s seems to be in us, not in s (a factor 1000000): the integral of speed_rad_s is 1000000.0000 times the \
-                 change of angle_rad",
-                "convert it with --map-holdout time_s=COLUMN*0.000001",
-            ),
-        ] {
-            assert_eq!([fault(&found), help(&found, "--map-holdout")], [sentence, remedy]);
-        }
-    }
-
-    #[test]
-    fn a_remedy_of_two_findings_stands_with_the_first() {
-        let cut = SignalFault::CutOff {
-            key: "current_a",
-            levels: vec![9.0, -9.0],
-            rows: 7,
-            share: 0.004,
-            plateaus: 2,
-        };
-        let finding = |fault: Fault| Finding {
-            kind: drivebench_identify::sanity::Kind::Clipped,
-            refuses: false,
-            fault,
-            doubts: Vec::new(),
-        };
-        let held = SignalFault::SpeedConstant { level_rad_s: 3.0, rows: 9 };
-        let all = [cut.clone().into(), held.into(), cut.into()].map(finding);
-        let helps = helps(&all);
-        assert!(!helps[0].is_empty() && !helps[1].is_empty() && helps[2].is_empty());
+        let time = UnitFault::OtherTimeUnit { unit: "us", factor: 1e6, over_angle: 1e6 };
+        let all = [
+            Fault::Column(ColumnFault::Exchanged(swapped)),
+            Fault::Column(ColumnFault::SignReversed(reversed)),
+            Fault::Unit(time.clone()),
+            Fault::Unit(time),
+        ];
+        let sentences = [
+            "it seems that voltage and current are swapped: as mapped, the balances give an inertia of -2.000e-4; the other \
+             way round they leave 1 % and 2 %, with every parameter positive",
+            "it seems that the sign of the speed is reversed: as mapped, the balances give an inertia of -2.000e-4; the other \
+             way round they leave 1 % and 2 %, with every parameter positive",
+            "time_s seems to be in us, not in s (a factor 1000000): the integral of speed_rad_s is 1000000.0000 times the \
+             change of angle_rad",
+        ];
+        let remedies = [
+            "map them as --map voltage_v=(column of current_a),current_a=(column of voltage_v)",
+            "map them as --map speed_rad_s=(column of speed_rad_s)*-1",
+            "convert it with --map time_s=COLUMN*0.000001",
+            "",
+        ];
+        let finding =
+            |fault| Finding { kind: Kind::Unit, refuses: false, fault, doubts: Vec::new() };
+        let found = all.map(finding);
+        assert_eq!(helps(&found), remedies);
+        assert_eq!([0, 1, 2].map(|at: usize| fault(&found[at].fault)), sentences);
     }
 }

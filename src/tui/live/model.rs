@@ -116,6 +116,7 @@ impl Model {
                 // Its former verdict does not hold now.
                 verdict: Verdict::Searching,
                 reason: Some(format!("value of {age_s:.1} s ago; {now}")),
+                code: estimate.code,
                 ..last.clone()
             }
         });

@@ -25,7 +25,7 @@ use drivebench_bench::{
 use drivebench_diagnose::RankedEffect;
 use drivebench_identify::online::Frozen;
 use drivebench_link::LinkStatistics;
-use drivebench_model::sample::{DriveState, ParameterEstimate, Verdict};
+use drivebench_model::sample::{DriveState, ParameterEstimate, Reason, Verdict};
 use pages::between_two_values;
 pub(in crate::tui) use pages::pages;
 
@@ -87,7 +87,7 @@ fn running() -> Snapshot {
         searching(found("inductance_h", "H", 0.009_87, 0.000_31)),
         found("back_emf_v_s_per_rad", "V.s/rad", 0.354_1, 0.000_4),
         searching(found("inertia_kg_m2", "kg.m2", 0.004_6, 0.001_9)),
-        ParameterEstimate::not_observable("load_torque_n_m", "N.m", carried),
+        ParameterEstimate::not_observable("load_torque_n_m", "N.m", Reason::TooFewRows, carried),
     ];
     Snapshot {
         name: "zk-22fc-emulated".to_owned(),

@@ -22,7 +22,7 @@ use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options, Pr
 use drivebench_model::plant::{
     ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, State, motor_range, typical_size,
 };
-use drivebench_model::sample::Verdict;
+use drivebench_model::sample::Reason;
 
 /// Coordinate `x` of a parameter: `p = unit x`, or `p = exp(x)` without a unit; with a normal prior of mean `at` and deviation `sd`.
 #[derive(Clone, Copy)]
@@ -560,9 +560,8 @@ pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool)
         let apart = estimated.model.get(slot).unwrap_or(f64::NAN) - value;
         let deviation = deviation.map(|deviation| deviation.hypot(apart));
         let mut judged = judge(slot, value, deviation, period_s);
-        if !estimated.converged && judged.verdict == Verdict::Settled {
-            judged.verdict = Verdict::Searching;
-            judged.reason = Some("the fit had not converged".to_owned());
+        if !estimated.converged {
+            judged.unsettle(Reason::NotConverged, "the fit had not converged");
         }
         let mut parameters = fit.parameters.iter_mut();
         if let Some(parameter) = parameters.find(|own| own.key == key) {

@@ -34,7 +34,7 @@ use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{
     Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot,
 };
-use drivebench_model::sample::{ParameterEstimate, Run, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Run, Verdict};
 use drivebench_model::signal;
 
 /// Least ratio, in power, of the part of the acceleration that the other regressors do not explain to its noise.
@@ -97,7 +97,7 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
         // where the period equals the time constant (measured on the ZK-22FC at 10 ms).
         for parameter in all.filter(|p| slow && p.value.is_some() && p.verdict != Verdict::Fixed) {
             parameter.std = parameter.std.map(|std| 3.0 * std);
-            parameter.unsettle(format!(
+            parameter.unsettle(Reason::SampledTooSlowly, format!(
                 "the period of {:.1} ms does not resolve the armature circuit (L/R = {:.1} ms): use the output-error fit, \
                  or sample faster",
                 1e3 * period_s,
@@ -334,7 +334,8 @@ impl Solved {
                  the run does not excite it",
                 partial / power
             );
-            return ParameterEstimate::not_observable(&slot.key(), slot.unit(), reason);
+            let code = Reason::NotExcited;
+            return ParameterEstimate::not_observable(&slot.key(), slot.unit(), code, reason);
         }
         // Errors in variables: noise in the acceleration attenuates the inertia and biases every value that is correlated with it.
         let inertia = free.iter().position(|slot| is_inertia(slot));
@@ -402,6 +403,7 @@ fn gated(found: ParameterEstimate, slot: &Slot) -> ParameterEstimate {
     }
     ParameterEstimate {
         verdict: Verdict::Invalid,
+        code: Some(Reason::Impossible),
         reason: Some("negative, which is impossible: check the signs of current, torque and motion, or add the effect that is missing".to_owned()),
         ..found
     }

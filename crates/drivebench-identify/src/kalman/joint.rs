@@ -10,7 +10,7 @@ use crate::online::AppliedVoltage;
 use crate::recursive::{IGNORANT, Memory, Scheme3};
 use crate::verdict;
 use drivebench_model::plant::{Model, MotorKey, Slot};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Sample, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Sample, Verdict};
 
 /// The five parameters and their states.
 const PARAMETERS: [(MotorKey, usize); 5] = [
@@ -195,7 +195,8 @@ impl Kalman {
                 return ParameterEstimate { std: None, ..fixed };
             }
             if left > IGNORANT * prior {
-                return verdict::unknown(key, self.reason(key, (left / prior).sqrt()));
+                let reason = self.reason(key, (left / prior).sqrt());
+                return verdict::unknown(key, Reason::NotExcited, reason);
             }
             let size = if state == MC { 1.0 } else { value };
             let std = Some(size * (left * widening).sqrt());
@@ -221,18 +222,20 @@ impl Kalman {
                 "innovation of the {name} {ratio:.2} times its noise at rest (chance allows {allowed:.2})"
             );
             if ratio > 10.0 {
-                judged.verdict = Verdict::Invalid;
-                judged.reason = Some(format!("{figure}: the model does not describe these data"));
+                let reason = format!("{figure}: the model does not describe these data");
+                judged.set(Verdict::Invalid, Reason::ModelMisses, reason);
             } else {
-                judged.unsettle(format!(
-                    "{figure}: an effect is missing, or the filter has not converged"
-                ));
+                judged.unsettle(
+                    Reason::ModelMisses,
+                    format!("{figure}: an effect is missing, or the filter has not converged"),
+                );
             }
         } else {
             let rows = self.filter.tally.used.max(1) as f64;
             let share = self.filter.tally.outliers as f64 / rows;
             if share > 0.02 {
-                judged.unsettle(format!("{:.1} % of the rows are outliers", 100.0 * share));
+                let reason = format!("{:.1} % of the rows are outliers", 100.0 * share);
+                judged.unsettle(Reason::FaultyData, reason);
             }
         }
         judged
@@ -268,16 +271,19 @@ impl Kalman {
         let mut found = starter.map_or_else(Vec::new, |starter| starter.estimates());
         for estimate in &mut found {
             if estimate.value.is_some() && estimate.verdict != Verdict::Invalid {
-                estimate.verdict = Verdict::Searching;
-                estimate.reason = Some(format!(
-                    "from scheme 3; the filter starts when that is certain within {:.0} %",
-                    100.0 * SETTINGS.certain
-                ));
+                estimate.set(
+                    Verdict::Searching,
+                    Reason::NotConverged,
+                    format!(
+                        "from scheme 3; the filter starts when that is certain within {:.0} %",
+                        100.0 * SETTINGS.certain
+                    ),
+                );
             }
         }
         found.extend(PARAMETERS.iter().skip(found.len()).map(|(key, _)| {
             let reason = format!("{} samples with current and speed so far", self.samples);
-            verdict::unknown(*key, reason)
+            verdict::unknown(*key, Reason::TooFewRows, reason)
         }));
         found
     }

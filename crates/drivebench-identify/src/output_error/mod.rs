@@ -20,7 +20,7 @@ use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{
     Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory,
 };
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 
 pub use free_run::{FreeRun, weighted_residual};
 
@@ -182,7 +182,8 @@ fn estimates(
                 return ParameterEstimate { value, ..fixed };
             };
             if let Some(reason) = &still {
-                return ParameterEstimate::not_observable(&key, slot.unit(), reason.clone());
+                let (code, reason) = (Reason::NotExcited, reason.clone());
+                return ParameterEstimate::not_observable(&key, slot.unit(), code, reason);
             }
             let variance = covariance[(index, index)];
             let std = variance.is_finite().then(|| {
@@ -191,7 +192,7 @@ fn estimates(
             });
             let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
             if !minimum.converged {
-                judged.unsettle("the fit had not converged");
+                judged.unsettle(Reason::NotConverged, "the fit had not converged");
             }
             judged
         })

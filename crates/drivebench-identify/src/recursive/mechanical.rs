@@ -5,14 +5,12 @@ use crate::verdict;
 use drivebench_model::numerics::change_watch::ChangeWatch;
 use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 use drivebench_model::plant::{MotorKey, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Rows below which there is no estimate.
 const FEWEST_ROWS: u64 = 4;
 /// Rows after a change before anything is settled again.
 const REOPENED_ROWS: u64 = 60;
-/// Beginning of a reason after a change of the inertia.
-pub const INERTIA_HAS_CHANGED: &str = "the inertia has changed";
 
 /// Estimators with a common forgetting factor.
 #[derive(Clone, Debug)]
@@ -135,18 +133,17 @@ impl MechanicalBalance {
     }
 
     /// Why no value may be settled now although the rows agree.
-    fn reopened(&self) -> Option<String> {
-        (self.changes > 0 && self.fits.estimator.rows() < REOPENED_ROWS).then(|| {
-            format!(
-                "{INERTIA_HAS_CHANGED}: begun again, {} of {REOPENED_ROWS} rows so far",
-                self.fits.estimator.rows()
-            )
+    fn reopened(&self) -> Option<(Reason, String)> {
+        let rows = self.fits.estimator.rows();
+        (self.changes > 0 && rows < REOPENED_ROWS).then(|| {
+            let so_far = format!("begun again, {rows} of {REOPENED_ROWS} rows so far");
+            (Reason::InertiaChanged, format!("the inertia has changed: {so_far}"))
         })
     }
 
     /// Why inertia or load may not be settled although the rows agree: with a friction that grows with the speed it would be
     /// another, and the rows do not rule such a friction out. `value` is the one of the two, its place in the rows `at`.
-    fn not_constant(&self, value: f64, at: usize) -> Option<String> {
+    fn not_constant(&self, value: f64, at: usize) -> Option<(Reason, String)> {
         let [a, b, _] = self.fits.sloping.parameters();
         let (sloping, of) = [(a, value), (b / a, value * a)][at];
         let std = self.fits.sloping.standard_deviations()?[at];
@@ -154,10 +151,11 @@ impl MechanicalBalance {
         // A comparison that is false for NaN as well.
         let sure = doubt <= 0.06;
         (!sure).then(|| {
-            format!(
+            let reason = format!(
                 "a friction that grows with the speed, which these speeds do not rule out, would change it by up to {:.0} %",
                 (100.0 * doubt).min(100.0)
-            )
+            );
+            (Reason::ModelMisses, reason)
         })
     }
 
@@ -218,25 +216,30 @@ impl MechanicalBalance {
         period_s: f64,
         sampling: [f64; 2],
     ) -> Vec<ParameterEstimate> {
-        let unknown = |reason: &str| -> Vec<ParameterEstimate> {
+        let unknown = |code: Reason, reason: &str| -> Vec<ParameterEstimate> {
             let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
-            keys.map(|key| verdict::unknown(key, reason)).to_vec()
+            keys.map(|key| verdict::unknown(key, code, reason)).to_vec()
         };
         if self.fits.estimator.rows() < FEWEST_ROWS {
-            return unknown(&format!(
-                "{} usable rows, at least {FEWEST_ROWS} are needed: largest speed so far {:.2} rad/s, dead zone {:.2} rad/s, {} rows dropped inside it",
-                self.fits.estimator.rows(),
-                moved.largest_rad_s(),
-                moved.dead_zone_rad_s(),
-                self.blocked_rows
-            ));
+            return unknown(
+                Reason::TooFewRows,
+                &format!(
+                    "{} usable rows, at least {FEWEST_ROWS} are needed: largest speed so far {:.2} rad/s, dead zone {:.2} rad/s, {} rows dropped inside it",
+                    self.fits.estimator.rows(),
+                    moved.largest_rad_s(),
+                    moved.dead_zone_rad_s(),
+                    self.blocked_rows
+                ),
+            );
         }
         let Some((kt, kt_std)) = torque else {
-            return unknown("the torque constant is not known yet");
+            let reason = "the torque constant is not known yet";
+            return unknown(Reason::DependsOnAnother, reason);
         };
         let [a, b] = self.fits.estimator.parameters();
         if a <= 0.0 {
-            return unknown("the speed does not follow the current: no positive inertia fits");
+            let reason = "the speed does not follow the current: no positive inertia fits";
+            return unknown(Reason::Impossible, reason);
         }
         let covariance = |row, column| self.fits.estimator.covariance(row, column);
         let (inertia, load) = (kt / a, kt * b / a);
@@ -272,8 +275,7 @@ impl MechanicalBalance {
                 let most = std.is_some_and(|std| doubt * value.abs() > std / 2f64.sqrt());
                 if most && judged.value.is_some() {
                     // A bound on a systematic error does not settle the value.
-                    judged.verdict = Verdict::Searching;
-                    judged.reason = Some(format!(
+                    judged.set(Verdict::Searching, Reason::SampledTooSlowly, format!(
                         "the current between samples ({:.1} ms apart) is not known: an error of about {:.1} %, by what \
                          every second sample gives; sample faster, or use scheme 3",
                         1e3 * period_s,
@@ -282,8 +284,8 @@ impl MechanicalBalance {
                 }
                 let (fitted, at) = if key == MotorKey::Inertia { (a, 0) } else { (b / a, 1) };
                 let why_open = self.reopened().or_else(|| self.not_constant(fitted, at));
-                if let Some(reason) = why_open {
-                    judged.unsettle(reason);
+                if let Some((code, reason)) = why_open {
+                    judged.unsettle(code, reason);
                 }
                 judged
             })

@@ -12,7 +12,6 @@ mod scheme_3;
 mod track;
 mod winding;
 
-pub use mechanical::INERTIA_HAS_CHANGED;
 pub use scheme_2::{CurrentIntegral, Scheme2};
 pub use scheme_3::{Memory, Scheme3, StartValues};
 

@@ -14,7 +14,7 @@ use super::{Direction, IGNORANT, LONGEST_GAP_S, steady_period};
 use crate::verdict;
 use drivebench_model::numerics::recursive_least_squares::RecursiveLeastSquares;
 use drivebench_model::plant::{Motor, MotorKey, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal::holding_since;
 
 const LONGEST_BLOCK_S: f64 = 0.01;
@@ -565,7 +565,8 @@ impl Scheme3 {
         let mut out = self.electrical_estimates();
         if let Some(reason) = self.on_trial() {
             let keys = [MotorKey::Inertia, MotorKey::LoadTorque];
-            out.extend(keys.map(|key| verdict::unknown(key, reason.clone())));
+            let unknown = |key| verdict::unknown(key, Reason::TooFewRows, reason.clone());
+            out.extend(keys.map(unknown));
             return out;
         }
         let (torque, moved) = (self.torque_constant(), &self.direction);
@@ -577,20 +578,23 @@ impl Scheme3 {
         // R and Ke share one voltage and determine the current between two samples: without R nothing is settled.
         let resistance = ParameterEstimate::find(&out, MotorKey::Resistance.key());
         let open = resistance.is_none_or(|resistance| resistance.verdict != Verdict::Settled);
-        let doubt = if self.limited {
-            "stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned()
+        let (code, doubt) = if self.limited {
+            (Reason::VoltageLimited, "stands still: a limit of the drive holds its output, so that the motor has another voltage than was commanded".to_owned())
         } else if let Some(times) = misfit {
-            format!(
-                "the measured current misses the prediction by {times:.1} times its noise: \
-                 an effect is missing, a signal is wrong, or the estimate went astray"
+            (
+                Reason::ModelMisses,
+                format!(
+                    "the measured current misses the prediction by {times:.1} times its noise: \
+                     an effect is missing, a signal is wrong, or the estimate went astray"
+                ),
             )
         } else if open {
-            "rests on the resistance, which the run does not settle: it takes a current that changes at every speed".to_owned()
+            (Reason::DependsOnAnother, "rests on the resistance, which the run does not settle: it takes a current that changes at every speed".to_owned())
         } else {
             return out;
         };
         for parameter in &mut out {
-            parameter.unsettle(doubt.as_str());
+            parameter.unsettle(code, doubt.as_str());
         }
         out
     }
@@ -635,7 +639,8 @@ impl Scheme3 {
                 let key = KEYS[j];
                 let excited = estimator.variance_ratio(j) < IGNORANT && values[j] > 0.0 && !confounded;
                 let Some(stds) = stds.filter(|_| excited) else {
-                    return verdict::unknown(key, self.why_not(key, estimator.rows()));
+                    let reason = self.why_not(key, estimator.rows());
+                    return verdict::unknown(key, Reason::NotExcited, reason);
                 };
                 let time_constant_s = values[1] / values[0];
                 // With few rows L/R itself is too uncertain for this statement.
@@ -647,14 +652,15 @@ impl Scheme3 {
                         1e3 * time_constant_s,
                         1e3 * self.period_s
                     );
-                    return verdict::unknown(key, reason);
+                    return verdict::unknown(key, Reason::SampledTooSlowly, reason);
                 }
                 let slot = Slot::Motor(key);
                 let mut judged = verdict::judge(&slot, values[j], Some(stds[j]), self.period_s);
                 if starting {
-                    judged.unsettle("from the linear start: biased by coarse sampling");
+                    let reason = "from the linear start: biased by coarse sampling";
+                    judged.unsettle(Reason::MethodBiased, reason);
                 } else if let Trial::On(rows) = self.trial {
-                    judged.unsettle(format!(
+                    judged.unsettle(Reason::TooFewRows, format!(
                         "{rows} rows since the linear start, linearised again after {TRIAL_ROWS}"
                     ));
                 }

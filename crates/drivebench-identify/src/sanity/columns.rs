@@ -1,7 +1,7 @@
 //! Exchanged columns and reversed signs: both balances under every other assignment.
 
 use super::table::{Activity, Balances, Roles, Table};
-use super::{ColumnFault, Finding, Kind, Mapping};
+use super::{ColumnFault, Fault, Finding, Kind, Mapping};
 use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
@@ -45,7 +45,7 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
         impossible: impossible.map(|coefficient| {
             let fault = ColumnFault::Impossible { coefficient, left: left(&given) };
             // A small error with an impossible sign is proof; a large one may also be a missing effect.
-            Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, fault)
+            Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, Fault::Column(fault))
         }),
     })
 }
@@ -89,7 +89,7 @@ const ASSIGNMENTS: [Assignment; 8] = [
 fn of_a_supply(table: &Table, coefficient: (MotorKey, f64)) -> Finding {
     let volts = Activity::of(&table.voltage_v).extent();
     let fault = ColumnFault::OfSupply { voltage: table.voltage_key, volts, coefficient };
-    Finding::of_all(Kind::Reversed, false, fault)
+    Finding::of_all(Kind::Reversed, false, Fault::Column(fault))
 }
 
 /// Shares of voltage and current that stay unexplained.
@@ -128,9 +128,9 @@ impl Assignment {
             left: [left(given), left(found)],
         };
         if mapping.reversed.is_some() && self.place == [0, 1, 2] {
-            Finding::refusal(Kind::Reversed, ColumnFault::SignReversed(mapping))
+            Finding::refusal(Kind::Reversed, Fault::Column(ColumnFault::SignReversed(mapping)))
         } else {
-            Finding::refusal(Kind::Swapped, ColumnFault::Exchanged(mapping))
+            Finding::refusal(Kind::Swapped, Fault::Column(ColumnFault::Exchanged(mapping)))
         }
     }
 

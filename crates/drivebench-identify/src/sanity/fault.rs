@@ -14,24 +14,6 @@ pub enum Fault {
     Unit(UnitFault),
 }
 
-impl From<SignalFault> for Fault {
-    fn from(fault: SignalFault) -> Self {
-        Self::Signal(fault)
-    }
-}
-
-impl From<ColumnFault> for Fault {
-    fn from(fault: ColumnFault) -> Self {
-        Self::Column(fault)
-    }
-}
-
-impl From<UnitFault> for Fault {
-    fn from(fault: UnitFault) -> Self {
-        Self::Unit(fault)
-    }
-}
-
 findings! {
     /// Faults of single signals. A pair is the least and the largest value; a share counts from 0 to 1.
     #[derive(Clone, Debug, PartialEq)]

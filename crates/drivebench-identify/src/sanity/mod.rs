@@ -34,7 +34,7 @@ use serde::Serialize;
 
 use self::table::Table;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, Side};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Side};
 
 /// What sort of trouble a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -81,17 +81,17 @@ fn keys<S: serde::Serializer>(doubts: &[MotorKey], serializer: S) -> Result<S::O
 }
 
 impl Finding {
-    fn refusal(kind: Kind, fault: impl Into<Fault>) -> Self {
+    fn refusal(kind: Kind, fault: Fault) -> Self {
         Self::of_all(kind, true, fault)
     }
 
     /// A refusal, or a caution for every parameter.
-    fn of_all(kind: Kind, refuses: bool, fault: impl Into<Fault>) -> Self {
+    fn of_all(kind: Kind, refuses: bool, fault: Fault) -> Self {
         Self { refuses, ..Self::caution(kind, &MotorKey::ALL, fault) }
     }
 
-    fn caution(kind: Kind, doubts: &[MotorKey], fault: impl Into<Fault>) -> Self {
-        Self { kind, refuses: false, fault: fault.into(), doubts: doubts.to_vec() }
+    fn caution(kind: Kind, doubts: &[MotorKey], fault: Fault) -> Self {
+        Self { kind, refuses: false, fault, doubts: doubts.to_vec() }
     }
 }
 
@@ -107,7 +107,7 @@ pub fn doubt(
     for parameter in parameters {
         let doubts = |it: &&Finding| it.doubts.iter().any(|key| key.key() == parameter.key);
         if let Some(finding) = findings.iter().find(doubts) {
-            parameter.unsettle(sentence(&finding.fault));
+            parameter.unsettle(Reason::FaultyData, sentence(&finding.fault));
         }
     }
 }

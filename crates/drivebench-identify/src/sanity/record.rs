@@ -6,7 +6,7 @@ use std::ops::Range;
 use super::sensor::{Signal, is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
-use super::{CLOSE_S, Finding, Kind, Level, SignalFault};
+use super::{CLOSE_S, Fault, Finding, Kind, Level, SignalFault};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
@@ -33,10 +33,10 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
             voltage: table.voltage_key,
             volts: voltage.extent(),
         };
-        findings.push(Finding::refusal(Kind::Frozen, fault));
+        findings.push(Finding::refusal(Kind::Frozen, Fault::Signal(fault)));
     } else if current.is_there() && current.is_zero() && voltage.is_there() && !voltage_changes {
         let fault = SignalFault::CoastDown { speeds_rad_s: speed.extent(), volts: voltage.mean };
-        findings.push(Finding::refusal(Kind::OpenCircuit, fault));
+        findings.push(Finding::refusal(Kind::OpenCircuit, Fault::Signal(fault)));
     }
     if current_moves && speed.is_there() && !speed.moves {
         findings.extend(shaft_at_rest(table, &speed));
@@ -76,7 +76,7 @@ fn open_for_a_while(
     let (from_s, rows) = (table.time_s[rows[0]], rows.len());
     let fault = SignalFault::CoastDownInside { rows, from_s, level_a };
     let share = rows as f64 / table.time_s.len() as f64;
-    Some(Finding::of_all(Kind::OpenCircuit, share > 0.02, fault))
+    Some(Finding::of_all(Kind::OpenCircuit, share > 0.02, Fault::Signal(fault)))
 }
 
 /// One operating point, moving or not.
@@ -94,9 +94,15 @@ fn nothing_moves(
     });
     let levels = levels.collect();
     if speed.is_there() && speed.is_zero() {
-        Finding::refusal(Kind::Standstill, SignalFault::AtRest { duration_s, levels })
+        Finding::refusal(
+            Kind::Standstill,
+            Fault::Signal(SignalFault::AtRest { duration_s, levels }),
+        )
     } else {
-        Finding::refusal(Kind::Steady, SignalFault::OperatingPoint { duration_s, levels })
+        Finding::refusal(
+            Kind::Steady,
+            Fault::Signal(SignalFault::OperatingPoint { duration_s, levels }),
+        )
     }
 }
 
@@ -105,7 +111,7 @@ fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     if speed.is_constant() && speed.mean.abs() > 0.0 {
         let (level_rad_s, rows) = (speed.mean, speed.count);
         let fault = SignalFault::SpeedConstant { level_rad_s, rows };
-        return Some(Finding::refusal(Kind::Frozen, fault));
+        return Some(Finding::refusal(Kind::Frozen, Fault::Signal(fault)));
     }
     if !speed.is_zero() {
         return None;
@@ -113,12 +119,15 @@ fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     let roles = Roles::of(table);
     let unexplained = voltage_at_rest(&roles)?;
     if unexplained > AT_REST {
-        return Some(Finding::refusal(Kind::Frozen, SignalFault::SpeedZero { unexplained }));
+        return Some(Finding::refusal(
+            Kind::Frozen,
+            Fault::Signal(SignalFault::SpeedZero { unexplained }),
+        ));
     }
     let doubts = [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque];
     let (duration_s, noise_rad_s) = (table.duration_s(), speed.noise);
     let fault = SignalFault::ShaftAtRest { duration_s, noise_rad_s };
-    Some(Finding::caution(Kind::Standstill, &doubts, fault))
+    Some(Finding::caution(Kind::Standstill, &doubts, Fault::Signal(fault)))
 }
 
 /// Single values that no machine can have shown: one row far off between two that agree. A current may jump, but not to three
@@ -161,7 +170,7 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
         count: spikes.len(),
         of: values.len(),
     };
-    Some(Finding::refusal(Kind::Outlier, fault))
+    Some(Finding::refusal(Kind::Outlier, Fault::Signal(fault)))
 }
 
 /// Share of the largest value that counts as zero.
@@ -221,7 +230,7 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     let unexplained = unexplained.filter(|share| *share > AT_REST)?;
     let (from_s, to_s) = (table.time_s[longest.start], table.time_s[longest.end - 1]);
     let fault = SignalFault::SpeedDead { from_s, to_s, unexplained };
-    Some(Finding::refusal(Kind::Frozen, fault))
+    Some(Finding::refusal(Kind::Frozen, Fault::Signal(fault)))
 }
 
 /// A signal that is never negative although the voltage clearly reverses and it is large there.
@@ -253,7 +262,7 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     (backward > 0.05 * forward).then(|| {
         let (values, voltage) = (activity.extent(), table.voltage_key);
         let fault = SignalFault::SignLost { key, values, voltage, rows: astern };
-        Finding::refusal(Kind::Unsigned, fault)
+        Finding::refusal(Kind::Unsigned, Fault::Signal(fault))
     })
 }
 
@@ -273,7 +282,7 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
     (both && share > 0.1).then(|| {
         let (voltage, speeds_rad_s) = (table.voltage_key, speed.extent());
         let fault = SignalFault::VoltageSignLost { voltage, speeds_rad_s, rows };
-        Finding::refusal(Kind::Unsigned, fault)
+        Finding::refusal(Kind::Unsigned, Fault::Signal(fault))
     })
 }
 
@@ -342,5 +351,5 @@ fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -
         at_s: table.time_s[first],
         values: [values[first - 1], values[first]],
     };
-    Some(Finding::refusal(Kind::Overflow, fault))
+    Some(Finding::refusal(Kind::Overflow, Fault::Signal(fault)))
 }

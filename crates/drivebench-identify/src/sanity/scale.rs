@@ -4,7 +4,7 @@
 use std::f64::consts::{PI, TAU};
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
-use super::{Basis, Evidence, Finding, Kind, UnitFault};
+use super::{Basis, Evidence, Fault, Finding, Kind, UnitFault};
 use crate::claims::OF_BACK_EMF as OF_SPEED;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Model, MotorKey};
@@ -35,7 +35,7 @@ fn confused(
     evidence: Evidence,
 ) -> Finding {
     let fault = UnitFault::OtherUnit { key, seems, instead, factor, evidence };
-    Finding::refusal(Kind::Unit, fault)
+    Finding::refusal(Kind::Unit, Fault::Unit(fault))
 }
 
 /// Whether `ratio` is `factor` within a share.
@@ -84,7 +84,7 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     let angle_units = [("degrees", 1.0 / DEGREES), ("turns", TAU)];
     if let Some((factor, unit)) = [(1e3, "ms"), (1e6, "us")].into_iter().find(|own| is(own.0)) {
         let fault = UnitFault::OtherTimeUnit { unit, factor, over_angle };
-        return Some(Finding::refusal(Kind::Unit, fault));
+        return Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)));
     }
     if let Some(unit) = speed_units().into_iter().find(|unit| is(unit.0)) {
         return Some(not_rad_s(unit, Evidence::Angle { over_angle }));
@@ -93,21 +93,22 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     let mut units = both.into_iter().zip(angle_units);
     if let Some((_, (unit, to_rad))) = units.find(|(factor, _)| is(*factor)) {
         let fault = UnitFault::SpeedAndAngle { unit, to_rad, over_angle };
-        return Some(Finding::refusal(Kind::Unit, fault));
+        return Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)));
     }
     Some(if is(1.0 / DEGREES) || is(TAU) {
         let (unit, to_rad) = angle_units[usize::from(over_angle >= 1.0)];
-        Finding::caution(Kind::Unit, &[], UnitFault::Angle { unit, to_rad, over_angle })
+        Finding::caution(
+            Kind::Unit,
+            &[],
+            Fault::Unit(UnitFault::Angle { unit, to_rad, over_angle }),
+        )
     } else if is(-1.0) {
-        Finding::caution(Kind::Reversed, &[], UnitFault::AngleReversed { over_angle })
+        Finding::caution(Kind::Reversed, &[], Fault::Unit(UnitFault::AngleReversed { over_angle }))
     } else {
         let pairs = over_angle.round();
         let pole_pairs = ((2.0..=24.0).contains(&pairs) && is(pairs)).then_some(pairs);
-        Finding::caution(
-            Kind::Unit,
-            &OF_SPEED,
-            UnitFault::AngleDisagrees { over_angle, pole_pairs },
-        )
+        let fault = UnitFault::AngleDisagrees { over_angle, pole_pairs };
+        Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(fault))
     })
 }
 
@@ -133,7 +134,7 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
     {
         let time_constant_s = found.inductance.value / found.resistance.value;
         let fault = UnitFault::TimeInMs { period_s: table.period_s(), time_constant_s };
-        findings.push(Finding::refusal(Kind::Unit, fault));
+        findings.push(Finding::refusal(Kind::Unit, Fault::Unit(fault)));
     }
     let resistance = balances.map(|found| found.resistance.value);
     let nameplate = model.motor.get(MotorKey::BackEmf);
@@ -190,12 +191,13 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
     ];
     if let Some((_, basis)) = hints.into_iter().find(|hint| near(ratio, hint.0, 0.03)) {
         let fault = UnitFault::OtherBasis { evidence, basis };
-        return Some(Finding::caution(Kind::Unit, &OF_SPEED, fault));
+        return Some(Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(fault)));
     }
     // Two motors of one winding within this ratio are one, more or less magnetised.
     let is_far = !(1.0 / 1.5..1.5).contains(&ratio);
-    (is_far && winding.is_some() && like(1.0))
-        .then(|| Finding::caution(Kind::Unit, &OF_SPEED, UnitFault::Gear { evidence, ratio }))
+    (is_far && winding.is_some() && like(1.0)).then(|| {
+        Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(UnitFault::Gear { evidence, ratio }))
+    })
 }
 
 /// Kt = Ke in SI: with a torque and a current the factor between them is a unit.
@@ -227,11 +229,11 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
             MotorKey::LoadTorque,
         ];
         if is_absurd {
-            Finding::refusal(Kind::Unit, fault)
+            Finding::refusal(Kind::Unit, Fault::Unit(fault))
         } else if many_volts {
-            Finding::of_all(Kind::Magnitude, false, fault)
+            Finding::of_all(Kind::Magnitude, false, Fault::Unit(fault))
         } else {
-            Finding::caution(Kind::Magnitude, &touched, fault)
+            Finding::caution(Kind::Magnitude, &touched, Fault::Unit(fault))
         }
     };
     let mut findings = Vec::new();
@@ -251,7 +253,8 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
     // 9,549 r/min, or as many degrees per second as that are in r/min.
     let suspected = if by_angle { 1000.0 * DEGREES / rpm_from_rad_s(1.0) } else { 1000.0 };
     let fault = UnitFault::Fast { rad_s, by_angle, back_emf };
-    (rad_s > suspected && !confirmed).then(|| Finding::caution(Kind::Magnitude, &OF_SPEED, fault))
+    (rad_s > suspected && !confirmed)
+        .then(|| Finding::caution(Kind::Magnitude, &OF_SPEED, Fault::Unit(fault)))
 }
 /// The unit in the header of a mapped column: `(target, names of which one stands in the header, unit, factor to the target's)`.
 const UNITS: &[(&str, &str, &str, &str)] = &[
@@ -293,7 +296,10 @@ pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
         *of == target && names.split(' ').any(|name| words.contains(&name))
     })?;
     let (target, header) = (target.to_owned(), header.to_owned());
-    Some(Finding::refusal(Kind::Unit, UnitFault::Header { target, header, unit, factor }))
+    Some(Finding::refusal(
+        Kind::Unit,
+        Fault::Unit(UnitFault::Header { target, header, unit, factor }),
+    ))
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::ops::Range;
 
 use super::sensor::{Expected, Sensor, Signal, is_same, runs_of, stops_suddenly, stretches};
 use super::table::{Activity, Table};
-use super::{Finding, Kind, SignalFault};
+use super::{Fault, Finding, Kind, SignalFault};
 use drivebench_model::numerics::statistics::finite;
 
 /// Rows of one and the same value from which a live signal may count as frozen.
@@ -56,7 +56,7 @@ impl<'a> Watched<'a> {
             from_s: self.table.time_s[longest.start],
             to_s: self.table.time_s[longest.end - 1],
         };
-        Some(Finding::refusal(Kind::Frozen, fault))
+        Some(Finding::refusal(Kind::Frozen, Fault::Signal(fault)))
     }
 
     fn is_frozen(&self, rows: &Range<usize>) -> bool {
@@ -96,7 +96,7 @@ impl<'a> Watched<'a> {
         (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
             let largest = jumps.iter().copied().fold(0.0, f64::max);
             let fault = SignalFault::HeldLikeACommand { key: self.key, jumps: large, largest };
-            Finding::refusal(Kind::Swapped, fault)
+            Finding::refusal(Kind::Swapped, Fault::Signal(fault))
         })
     }
 
@@ -147,7 +147,7 @@ impl<'a> Watched<'a> {
         let levels = cut.iter().map(|(level, _)| *level).collect();
         let share = rows as f64 / self.activity.count as f64;
         let fault = SignalFault::CutOff { key: self.key, levels, rows, share, plateaus };
-        Some(Finding::of_all(Kind::Clipped, share > 0.01, fault))
+        Some(Finding::of_all(Kind::Clipped, share > 0.01, Fault::Signal(fault)))
     }
 
     fn plateaus(&self, level: f64) -> Vec<Range<usize>> {

@@ -7,7 +7,7 @@ use crate::{inverse_dynamics, missing_cells, weak_form};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::median_step;
 use drivebench_model::plant::{ActiveEffect, Balance, Input, Model, MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, TWO_SIDED_95, Verdict};
 
 pub(super) const WEAK_FORM: Scheme = Scheme {
     id: "weak-form",
@@ -90,7 +90,7 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
         |ta| format!("L/R is {:.1} ms", 1e3 * ta),
     );
     for parameter in parameters.iter_mut() {
-        parameter.unsettle(format!(
+        parameter.unsettle(Reason::SampledTooSlowly, format!(
             "{ta} against a period of {:.1} ms: windows need three samples in it; use the output-error fit",
             1e3 * period_s
         ));
@@ -179,14 +179,15 @@ fn once_each(parameters: Vec<ParameterEstimate>) -> Vec<ParameterEstimate> {
                 let disagree = 2.0 * spread > TWO_SIDED_95 * (wa.recip() + wb.recip()).sqrt();
                 let doubt = if disagree {
                     let (a, b) = (surer.text(1.0), other.text(1.0));
-                    Some(format!("the balances do not agree: {a} and {b}"))
+                    let reason = format!("the balances do not agree: {a} and {b}");
+                    Some((Reason::Disagree, reason))
                 } else {
-                    other.reason.filter(|_| other.verdict != Verdict::Settled)
+                    other.code.zip(other.reason).filter(|_| other.verdict != Verdict::Settled)
                 };
                 *earlier =
                     ParameterEstimate { value: Some(value), std: Some(std.max(spread)), ..surer };
-                if let Some(doubt) = doubt {
-                    earlier.unsettle(doubt);
+                if let Some((code, doubt)) = doubt {
+                    earlier.unsettle(code, doubt);
                 }
             }
             (None, Some(_)) => *earlier = next,
@@ -233,7 +234,7 @@ mod tests {
         for (other, doubt, verdict) in [
             (1.01, None, Verdict::Settled),
             (1.2, None, Verdict::Searching),
-            (1.01, Some("few samples".to_owned()), Verdict::Searching),
+            (1.01, Some((Reason::TooFewRows, "few samples".to_owned())), Verdict::Searching),
         ] {
             let of = |value, doubt| ParameterEstimate::found("e.x", "-", value, 0.02, doubt);
             let merged = once_each(vec![of(1.0, None), of(other, doubt)]);

@@ -21,7 +21,7 @@ use super::misfit::Misfit;
 use super::output_error::FitError;
 use super::step_response;
 use drivebench_model::plant::{ActiveEffect, Input, Model, ModelError, MotorKey, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run};
 
 /// What a scheme works on.
 #[derive(Clone, Copy, Debug)]
@@ -199,8 +199,9 @@ impl Identified {
                 let key = format!("{id}.{}", spec.key);
                 self.parameters.retain(|parameter| parameter.key != key);
                 if value.is_none() {
+                    let code = Reason::NotInScheme;
                     self.parameters
-                        .push(ParameterEstimate::not_observable(&key, spec.unit, reason));
+                        .push(ParameterEstimate::not_observable(&key, spec.unit, code, reason));
                 }
             }
         }

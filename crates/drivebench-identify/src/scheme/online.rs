@@ -6,7 +6,7 @@ use crate::noise::NoiseFloor;
 use crate::online::{Online, OnlineConfig};
 use crate::recursive::{CurrentIntegral, Scheme2};
 use drivebench_model::plant::{ActiveEffect, Input, Scenario};
-use drivebench_model::sample::{Channel, ParameterEstimate, Run, RunError, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, RunError, Verdict};
 
 /// Paper A's scheme 2 with the trapezoid: inertia and load torque from current and speed.
 pub(super) const SCHEME_2: Scheme = Scheme {
@@ -112,6 +112,7 @@ fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
     if parameter.verdict == Verdict::Settled {
         parameter.verdict = Verdict::Searching;
     }
+    parameter.code = Some(Reason::MethodBiased);
     parameter.reason = Some(match parameter.reason.take() {
         Some(reason) => format!("{off}; {reason}"),
         None => off,

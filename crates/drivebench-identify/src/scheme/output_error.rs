@@ -7,7 +7,7 @@ use crate::noise::NoiseFloor;
 use crate::output_error::{Fit, FitError, fit_delayed};
 use crate::{cause, effect_start, plateaus, start};
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 pub(super) const OUTPUT_ERROR: Scheme = Scheme {
     id: "output-error",
@@ -32,6 +32,7 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
         if let Some(parameter) = parameters.iter_mut().find(chosen) {
             let doubted = doubt.as_ref().map(|_| Verdict::Searching);
             parameter.verdict = doubted.unwrap_or(Verdict::Settled);
+            parameter.code = doubt.as_ref().map(|_| Reason::Ambiguous);
             parameter.reason = doubt;
         }
     }

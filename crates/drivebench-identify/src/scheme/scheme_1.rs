@@ -10,7 +10,7 @@ use crate::scheme_1::{
 use crate::verdict::unknown;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario};
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal;
 
 /// Paper A's scheme 1 as printed, eq. (17).
@@ -48,7 +48,7 @@ fn instruments(id: &'static str, data: &Data<'_>) -> Result<Identified, Identify
                 estimates(&grid.claim(data.model, found.dynamics, covariance, None));
             if !found.converged {
                 for parameter in &mut parameters {
-                    parameter.unsettle(format!(
+                    parameter.unsettle(Reason::NotConverged, format!(
                             "not converged after {} rounds, or the model lacks an effect: its free run misses the speed by {:.3} rad/s, its equations by {:.3}",
                             found.rounds, found.free_run_rad_s, found.residual_rad_s
                         ));
@@ -79,6 +79,7 @@ fn least_squares(
             if claim.doubt.is_none() {
                 for parameter in &mut parameters {
                     parameter.unsettle(
+                        Reason::MethodBiased,
                         "noise of the speed biases least squares, and by how much is not known: 1-iv finds no motor in this run",
                     );
                 }
@@ -106,6 +107,7 @@ fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate
         Some(value) => fixed(MotorKey::Resistance, value),
         None => unknown(
             MotorKey::Resistance,
+            Reason::SignalMissing,
             "voltage and speed alone do not show it: give it in the model file",
         ),
     });

@@ -3,7 +3,7 @@
 use super::Dynamics;
 use crate::verdict::{SETTLED, judge};
 use drivebench_model::plant::{MotorKey, Slot};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// An estimate of the dynamics, and a less biased one to compare it with.
 #[derive(Clone, Debug)]
@@ -47,9 +47,9 @@ const WITH_RESISTANCE: [Quantity; 3] = [
     (MotorKey::LoadTorque, None, |d, r, kt| d.load_v * kt / r),
 ];
 
-fn unknown((slot, key, _): &Quantity, reason: &str) -> ParameterEstimate {
+fn unknown((slot, key, _): &Quantity, code: Reason, reason: &str) -> ParameterEstimate {
     let unit = key.map_or(slot.unit(), |_| "s");
-    ParameterEstimate::not_observable(key.unwrap_or(slot.key()), unit, reason)
+    ParameterEstimate::not_observable(key.unwrap_or(slot.key()), unit, code, reason)
 }
 
 /// Ta, TM, Ke and, with a resistance, L, J, Mc: each judged by its standard deviation and by the doubt.
@@ -59,6 +59,7 @@ pub(crate) fn estimates(claim: &Claim) -> Vec<ParameterEstimate> {
         Some(r) => one(claim, quantity, r),
         None => unknown(
             quantity,
+            Reason::DependsOnAnother,
             "voltage and speed fix it only with a known resistance: give resistance_ohm in the model file",
         ),
     });
@@ -69,7 +70,7 @@ pub(crate) fn estimates(claim: &Claim) -> Vec<ParameterEstimate> {
 /// Every quantity as not observable for one reason.
 pub(crate) fn all_unknown(reason: &str) -> Vec<ParameterEstimate> {
     let all = WITHOUT_RESISTANCE.iter().chain(&WITH_RESISTANCE);
-    all.map(|quantity| unknown(quantity, reason)).collect()
+    all.map(|quantity| unknown(quantity, Reason::Impossible, reason)).collect()
 }
 
 fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEstimate {
@@ -96,17 +97,18 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         return judged;
     }
     let spoilt = relative > 0.2;
-    judged.verdict = if spoilt { Verdict::Invalid } else { Verdict::Searching };
+    let verdict = if spoilt { Verdict::Invalid } else { Verdict::Searching };
     let cause = match &doubt.systematic {
         Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
         _ => &doubt.cause,
     };
-    judged.reason = Some(format!(
+    let reason = format!(
         "{cause}: {:+.0} % against {better:.4e} {} {}",
         100.0 * error / better,
         judged.unit,
         doubt.source
-    ));
+    );
+    judged.set(verdict, Reason::MethodBiased, reason);
     judged
 }
 
@@ -125,7 +127,8 @@ fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
         } else {
             format!("is known to {percent:.0} % only")
         };
-        judged.unsettle(format!("{}, and how far {known} {}", doubt.cause, doubt.source));
+        let reason = format!("{}, and how far {known} {}", doubt.cause, doubt.source);
+        judged.unsettle(Reason::MethodBiased, reason);
     }
 }
 

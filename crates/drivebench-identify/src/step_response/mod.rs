@@ -18,7 +18,7 @@ pub use reading::{Reading, Step, read};
 
 use crate::verdict::NOT_OBSERVABLE;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
-use drivebench_model::sample::{ParameterEstimate, Verdict};
+use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 use crate::nameplate::KEYS;
 
@@ -128,21 +128,23 @@ fn derived(
 fn judged(key: &str, unit: &'static str, found: Found) -> ParameterEstimate {
     let read = match found {
         Ok(read) => read,
-        Err(reason) => return ParameterEstimate::not_observable(key, unit, reason),
+        Err(reason) => {
+            return ParameterEstimate::not_observable(key, unit, Reason::NoStep, reason);
+        }
     };
     let per_cent = 100.0 * read.relative();
     if !(read.value.is_finite() && read.relative() <= NOT_OBSERVABLE) {
         let reason =
             format!("read with an uncertainty of {per_cent:.0} %: the step does not show it");
-        return ParameterEstimate::not_observable(key, unit, reason);
+        return ParameterEstimate::not_observable(key, unit, Reason::NotExcited, reason);
     }
     // One reading of one curve is never settled: nothing repeats it.
     let reason = format!("read from one step, uncertainty {per_cent:.1} %");
-    let mut judged = ParameterEstimate::found(key, unit, read.value, read.std, Some(reason));
+    let doubt = Some((Reason::ReadOnce, reason));
+    let mut judged = ParameterEstimate::found(key, unit, read.value, read.std, doubt);
     if read.value <= 0.0 {
-        judged.verdict = Verdict::Invalid;
         let reason = "not positive: check the signs of voltage, current and speed";
-        judged.reason = Some(reason.to_owned());
+        judged.set(Verdict::Invalid, Reason::Impossible, reason);
     }
     judged
 }

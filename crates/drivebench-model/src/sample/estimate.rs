@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::findings;
 use crate::text::number::{self, significant, with_std, with_unit};
 
 /// Quality of an estimate.
@@ -30,6 +31,41 @@ impl Verdict {
     }
 }
 
+findings! {
+    /// Why an estimate has no value, or is not settled.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Reason {
+        NotExcited = "not_excited",
+        Uncertain = "uncertain",
+        MayBeZero = "may_be_zero",
+        Impossible = "impossible_value",
+        OnlyTogether = "determined_only_with_others",
+        /// It holds if another value, or the form of an effect, is right.
+        DependsOnAnother = "depends_on_another_value",
+        /// Another value, or another effect, explains the run as well.
+        Ambiguous = "not_told_from_another",
+        SampledTooSlowly = "sampled_too_slowly",
+        StampsUncertain = "stamps_too_uncertain",
+        TooFewRows = "too_few_rows",
+        SignalMissing = "signal_missing",
+        SignalOrigin = "origin_of_a_signal",
+        FaultyData = "fault_of_the_data",
+        VoltageLimited = "voltage_limited_by_the_drive",
+        NotConverged = "fit_not_converged",
+        ModelMisses = "model_misses_something",
+        MethodBiased = "method_is_biased",
+        NotInScheme = "not_carried_by_the_scheme",
+        NoStep = "no_step_to_read",
+        ReadOnce = "read_once",
+        RunsDiffer = "runs_differ",
+        NotInEveryRun = "not_in_every_run",
+        Disagree = "estimates_disagree",
+        InertiaChanged = "inertia_changed",
+        HoldoutOnly = "happened_in_the_holdout_only",
+        TemperatureUnknown = "temperature_unknown",
+    }
+}
+
 /// Half-width of the two-sided 95 % interval of a normal distribution, in standard deviations.
 pub const TWO_SIDED_95: f64 = 1.959_964;
 
@@ -45,6 +81,8 @@ pub struct ParameterEstimate {
     pub unit: &'static str,
     pub verdict: Verdict,
     pub reason: Option<String>,
+    /// Of the reason; none where it was read from a file.
+    pub code: Option<Reason>,
 }
 
 /// What `identify --json` prints of a parameter.
@@ -56,6 +94,7 @@ struct Contract {
     unit: &'static str,
     verdict: Verdict,
     reason: Option<String>,
+    reason_code: Option<Reason>,
 }
 
 impl From<ParameterEstimate> for Contract {
@@ -67,6 +106,7 @@ impl From<ParameterEstimate> for Contract {
             unit: estimate.unit,
             verdict: estimate.verdict,
             reason: estimate.reason,
+            reason_code: estimate.code,
         }
     }
 }
@@ -101,11 +141,15 @@ impl ParameterEstimate {
     }
 
     /// Changes a settled verdict to searching, for a reason; any other stays.
-    pub fn unsettle(&mut self, reason: impl Into<String>) {
+    pub fn unsettle(&mut self, code: Reason, reason: impl Into<String>) {
         if self.verdict == Verdict::Settled {
-            self.verdict = Verdict::Searching;
-            self.reason = Some(reason.into());
+            self.set(Verdict::Searching, code, reason);
         }
+    }
+
+    /// Another verdict, with its reason.
+    pub fn set(&mut self, verdict: Verdict, code: Reason, reason: impl Into<String>) {
+        (self.verdict, self.code, self.reason) = (verdict, Some(code), Some(reason.into()));
     }
 
     /// Value and standard deviation, where the verdict is settled or searching.
@@ -120,12 +164,14 @@ impl ParameterEstimate {
         unit: &'static str,
         value: f64,
         std: f64,
-        doubt: Option<String>,
+        doubt: Option<(Reason, String)>,
     ) -> Self {
         let verdict = doubt.as_ref().map(|_| Verdict::Searching);
+        let (code, reason) = doubt.unzip();
         Self {
             verdict: verdict.unwrap_or(Verdict::Settled),
-            reason: doubt,
+            reason,
+            code,
             std: Some(std),
             ..Self::fixed(key, unit, value)
         }
@@ -139,15 +185,22 @@ impl ParameterEstimate {
             unit,
             verdict: Verdict::Fixed,
             reason: None,
+            code: None,
         }
     }
 
-    pub fn not_observable(key: &str, unit: &'static str, reason: impl Into<String>) -> Self {
+    pub fn not_observable(
+        key: &str,
+        unit: &'static str,
+        code: Reason,
+        reason: impl Into<String>,
+    ) -> Self {
         Self {
             value: None,
             std: None,
             verdict: Verdict::NotObservable,
             reason: Some(reason.into()),
+            code: Some(code),
             ..Self::fixed(key, unit, f64::NAN)
         }
     }
@@ -159,7 +212,12 @@ mod tests {
 
     #[test]
     fn a_parameter_that_is_not_observable_has_no_number() {
-        let mut parameter = ParameterEstimate::not_observable("inductance_h", "H", "sample faster");
+        let mut parameter = ParameterEstimate::not_observable(
+            "inductance_h",
+            "H",
+            Reason::SampledTooSlowly,
+            "sample faster",
+        );
         assert_eq!(parameter.text(1.0), "n/a");
         parameter.value = Some(0.01);
         parameter.verdict = Verdict::Searching;

@@ -18,6 +18,6 @@ mod run;
 
 pub use channel::Channel;
 pub use command::{Command, Demand};
-pub use estimate::{ParameterEstimate, TWO_SIDED_95, Verdict};
+pub use estimate::{ParameterEstimate, Reason, TWO_SIDED_95, Verdict};
 pub use instant::{Applied, DriveState, Hindrance, Quality, Sample};
 pub use run::{LARGEST, Origin, Run, RunError, Side};

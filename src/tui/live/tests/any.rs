@@ -28,6 +28,7 @@ fn estimate() -> impl Strategy<Value = ParameterEstimate> {
         unit: "kg.m2",
         verdict: found.3,
         reason: found.4,
+        code: None,
     })
 }
 

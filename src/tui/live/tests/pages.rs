@@ -23,7 +23,8 @@ pub(super) fn between_two_values() -> Model {
     let mut later = running();
     let mut estimates = running().estimates.to_vec();
     let reason = "the speed has not changed for a while";
-    estimates[3] = ParameterEstimate::not_observable("inertia_kg_m2", "kg.m2", reason);
+    estimates[3] =
+        ParameterEstimate::not_observable("inertia_kg_m2", "kg.m2", Reason::TooFewRows, reason);
     (later.elapsed_s, later.estimates) = (11.6, Arc::new(estimates));
     model.update(Event::Snapshot(Arc::new(later)));
     model
