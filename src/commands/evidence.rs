@@ -14,7 +14,7 @@ use serde_json::{Map, Value, json};
 use crate::report::wording::limits::{last_part, set_aside};
 use crate::report::wording::next_run::next_run;
 use crate::report::wording::versus::motor_match;
-use crate::report::wording::{json as found_json, sanity as words};
+use crate::report::wording::{json as found_json, record, sanity as words};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text};
 use crate::runtime::output;
@@ -558,7 +558,7 @@ fn is_independent(
 pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let (mut cautions, name) = (Vec::new(), &run.name);
     let channel = scenario.input_channel;
-    cautions.extend(lost_rows::sentence(run, scenario));
+    cautions.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
     let whole = scenario.unknown_input.is_empty();
     if let (true, Channel::Voltage, Some(cells)) = (whole, channel, run.column(channel)) {
         let begin_s = scenario.begin_s();

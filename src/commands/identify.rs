@@ -12,7 +12,7 @@ use crate::commands::cards;
 use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
 use crate::report::wording::change::along;
-use crate::report::wording::{json, sanity as words};
+use crate::report::wording::{json, record, sanity as words};
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
 use crate::runtime::output::{self, Terminal};
@@ -355,8 +355,9 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
     if scenario.input_channel == Channel::VoltageCmd
         && let Some(departure) = voltage_departure::find(run)
     {
-        departure.limit(&mut found.parameters);
-        found.notes.push(departure.sentence());
+        let reason = record::departure(&departure);
+        voltage_departure::limit(&mut found.parameters, &reason);
+        found.notes.push(reason);
     }
     sanity::doubt(&mut found.parameters, findings, words::fault);
     for open in found.parameters.iter_mut().filter(|own| own.value.is_none()) {
@@ -369,7 +370,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
     }
     let limits = claims::limit(&mut found.parameters, run, scenario);
     found.notes.extend(limits);
-    found.notes.extend(lost_rows::sentence(run, scenario));
+    found.notes.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
     Ok(temperature::complete(found, run, scenario))
 }
 

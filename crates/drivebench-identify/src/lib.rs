@@ -15,7 +15,7 @@
 //! physical: limits of a parameter from the record; first_order: the lag from voltage to speed
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: estimates from several runs; drift: the change between two dates
-//! lost_rows: sentence on the missing rows of a record
+//! lost_rows: missing rows of a record
 //! sanity: plausibility of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
 //! ```
 

@@ -1,60 +1,41 @@
-//! Sentence on the missing rows of a record: their count, position and treatment.
+//! Missing rows of a record: their count, position and treatment.
 
 use drivebench_model::plant::Scenario;
-use drivebench_model::sample::Run;
+use drivebench_model::sample::{Channel, Run};
 
-/// The sentence; `None` for a complete record.
-pub fn sentence(run: &Run, scenario: &Scenario) -> Option<String> {
+#[derive(Clone, Debug, PartialEq)]
+pub struct LostRows {
+    pub run: String,
+    pub input: Channel,
+    pub lost: usize,
+    pub of: usize,
+    /// Begin and end of the longest time without, s.
+    pub longest_s: [f64; 2],
+    /// Time in which the neighbouring rows do not determine the input, s, and its share of the run.
+    pub estimated_s: f64,
+    pub estimated_share: f64,
+    /// Holes after which a simulation restarts from the measurement.
+    pub restarts: usize,
+}
+
+/// `None` for a complete record.
+pub fn find(run: &Run, scenario: &Scenario) -> Option<LostRows> {
     let holes = &scenario.unknown_input;
     let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
     let lost: usize = holes.iter().map(|hole| hole.lost_rows).sum();
-    let rows = lost + run.points(scenario.input_channel).count();
-    let unknown_s: f64 =
-        (holes.iter()).filter(|hole| hole.variance > 0.0).map(|hole| hole.to_s - hole.from_s).sum();
-    let restarts = holes.iter().filter(|hole| hole.restart.is_some()).count();
-    let holes = match restarts {
-        1 => "the long hole".to_owned(),
-        _ => format!("{restarts} long holes"),
-    };
-    let restart = if restarts == 0 {
-        String::new()
-    } else {
-        format!("; after {holes} every simulation restarts from the measurement")
-    };
+    let estimated = holes.iter().filter(|hole| hole.variance > 0.0);
+    let estimated_s: f64 = estimated.map(|hole| hole.to_s - hole.from_s).sum();
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
-    let known = if unknown_s > 0.0 {
-        format!(
-            "for {unknown_s:.3} s ({:.1} % of the run) it is estimated from the neighbouring rows and from the current, with an \
-             uncertainty; elsewhere the neighbouring rows determine it",
-            100.0 * unknown_s / length_s
-        )
-    } else {
-        "the neighbouring rows determine it".to_owned()
-    };
-    Some(format!(
-        "{}: {} of {} rows of {} are missing ({:.1} %), the longest time without {:.3} s from {:.3} s on: the input is not recorded \
-         there; {known}{restart}",
-        run.name,
-        counted(lost),
-        counted(rows),
-        scenario.input_channel.key(),
-        100.0 * lost as f64 / rows as f64,
-        longest.to_s - longest.from_s,
-        longest.from_s,
-    ))
-}
-
-/// A number with separators of thousands.
-fn counted(number: usize) -> String {
-    let digits = number.to_string();
-    let mut out = String::new();
-    for (index, digit) in digits.chars().enumerate() {
-        if index > 0 && (digits.len() - index).is_multiple_of(3) {
-            out.push(',');
-        }
-        out.push(digit);
-    }
-    out
+    Some(LostRows {
+        run: run.name.clone(),
+        input: scenario.input_channel,
+        lost,
+        of: lost + run.points(scenario.input_channel).count(),
+        longest_s: [longest.from_s, longest.to_s],
+        estimated_s,
+        estimated_share: estimated_s / length_s,
+        restarts: holes.iter().filter(|hole| hole.restart.is_some()).count(),
+    })
 }
 
 #[cfg(test)]
@@ -97,15 +78,12 @@ mod tests {
     #[test]
     fn the_loss_has_count_and_share_and_exchanges_no_columns() {
         let whole = run(|_| false);
-        assert_eq!(sentence(&whole, &Scenario::from_run(&whole).unwrap()), None);
+        assert_eq!(find(&whole, &Scenario::from_run(&whole).unwrap()), None);
         let (lossy, scenario) = lossy();
-        let found = sentence(&lossy, &scenario).unwrap();
-        let lost = 6000 - lossy.rows();
-        let count = format!("{lost} of 6,000 rows of voltage_v are missing");
-        for part in [&*count, "0.400 s from 3.000 s on", "after the long hole"] {
-            assert!(found.contains(part), "{found}");
-        }
-        assert_eq!(counted(1_234_567), "1,234,567");
+        let found = find(&lossy, &scenario).unwrap();
+        assert_eq!((found.lost, found.of, found.restarts), (6000 - lossy.rows(), 6000, 1));
+        let [from_s, to_s] = found.longest_s;
+        assert!((from_s - 3.0).abs() < 1e-3 && (to_s - 3.4).abs() < 1e-3, "{found:?}");
         let findings = sanity::examine(&lossy, &scenario, &Model::default());
         assert!(!findings.iter().any(|found| found.refuses), "{findings:?}");
     }

@@ -15,21 +15,10 @@ pub struct Departure {
     pub largest_v: f64,
 }
 
-impl Departure {
-    pub fn sentence(&self) -> String {
-        format!(
-            "the measured voltage is not the commanded one in {:.1} % of the rows (by up to {:.1} V): \
-             the drive limited it (current limit, bus voltage, a ramp of its own)",
-            100.0 * self.share,
-            self.largest_v
-        )
-    }
-
-    /// Changes every settled verdict: the estimates depend on the commanded voltage.
-    pub fn limit(&self, parameters: &mut [ParameterEstimate]) {
-        for parameter in parameters {
-            parameter.unsettle(Reason::VoltageLimited, self.sentence());
-        }
+/// Changes every settled verdict: the estimates depend on the commanded voltage.
+pub fn limit(parameters: &mut [ParameterEstimate], reason: &str) {
+    for parameter in parameters {
+        parameter.unsettle(Reason::VoltageLimited, reason);
     }
 }
 

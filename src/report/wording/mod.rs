@@ -15,6 +15,7 @@ pub mod location;
 pub mod nameplate;
 pub mod next_run;
 pub mod probe;
+pub mod record;
 pub mod residual;
 pub mod sanity;
 pub mod versus;
