@@ -58,8 +58,8 @@ pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Docum
             let reason = reason.map_or_else(String::new, |reason| format!(" ({reason})"));
             format!("{}{reason}, 95 % interval", size(parameter))
         });
-        document.labelled("size", sizes.chain(candidate::at_most(own)));
-        document.labelled("", candidate::detectable_from(own));
+        let bounds = candidate::at_most(own).into_iter().chain(candidate::detectable_from(own));
+        document.labelled("size", sizes.chain(bounds));
         let peaks = own.reached.iter().flat_map(Reached::peaks);
         document.labelled("reached", peaks.map(|peak| candidate::peak(&peak, TWO_SIDED_95)));
         let is_named = !own.parameters.is_empty();
