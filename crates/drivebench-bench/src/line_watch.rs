@@ -143,7 +143,11 @@ impl LineWatch {
                 (Level::Warning, "rate_lost", text)
             }
         };
-        Some(LineReport { event, figure: ("achieved_hz", achieved_hz), notice: Notice { level, text } })
+        Some(LineReport {
+            event,
+            figure: ("achieved_hz", achieved_hz),
+            notice: Notice { level, text },
+        })
     }
 
     /// Clears the exchanges of a finished run.
@@ -201,7 +205,11 @@ impl Alarm {
         } else {
             return None;
         };
-        Some(LineReport { event, figure: ("frames", frames as f64), notice: Notice { level, text } })
+        Some(LineReport {
+            event,
+            figure: ("frames", frames as f64),
+            notice: Notice { level, text },
+        })
     }
 }
 

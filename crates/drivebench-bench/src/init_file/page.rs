@@ -172,7 +172,7 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         match given.iter().find(|(known, _)| *known == key) {
             Some((_, value)) => page.value(key, &number(*value), meaning),
             None => {
-                page.left_out(key, "not on the nameplate: `run` finds it from small steps first")
+                page.left_out(key, "not on the nameplate: `run` finds it from small steps first");
             }
         }
     }

@@ -25,7 +25,7 @@ const DISTINGUISHED_SHARE: f64 = 0.03;
 
 /// Models that the runs in hand do not distinguish: the answer first, then its rivals.
 struct Rivals<'a> {
-    rivals: Vec<Rival<'a>>,
+    models: Vec<Rival<'a>>,
     /// The answer without its effect.
     base: Rival<'a>,
     /// Names of the answer's effect and of the rival's, for each rival after the first.
@@ -54,7 +54,7 @@ impl Tried {
 impl Rivals<'_> {
     /// Factor by which the squared errors of the better rival of a pair count less than white noise.
     fn inflation(&self, pair: usize) -> f64 {
-        let [answer, rival] = [0, pair + 1].map(|place| self.rivals[place].inflation);
+        let [answer, rival] = [0, pair + 1].map(|place| self.models[place].inflation);
         answer.min(rival)
     }
 
@@ -64,7 +64,7 @@ impl Rivals<'_> {
     fn evaluated(&self, plan: Planned) -> Tried {
         let noise = plan.noise(self.evidence.noise);
         let residuals = 2.0 * plan.rows();
-        let rivals = self.rivals.par_iter();
+        let rivals = self.models.par_iter();
         let runs: Vec<Option<Scenario>> = rivals.map(|own| plan.measured(own.model)).collect();
         let pairs = 0..self.names.len();
         let upper_bound = |pair: usize| {
@@ -79,7 +79,7 @@ impl Rivals<'_> {
         if !at_most.separates_any() {
             return at_most;
         }
-        let responses = self.rivals.par_iter().zip(runs).map(|(rival, run)| {
+        let responses = self.models.par_iter().zip(runs).map(|(rival, run)| {
             let run = run?;
             let (response, _) = Response::of(rival, &run, noise)?;
             Some((run, response))
@@ -88,7 +88,7 @@ impl Rivals<'_> {
         let direction = |truth: usize, rival: usize| {
             let (run, _) = simulated[truth].as_ref()?;
             let (_, response) = simulated[rival].as_ref()?;
-            response.separation_from(run, &self.rivals[rival], noise)
+            response.separation_from(run, &self.models[rival], noise)
         };
         let separation = |pair: usize| {
             let both = [direction(0, pair + 1), direction(pair + 1, 0)];
@@ -98,7 +98,7 @@ impl Rivals<'_> {
             let (mut response, difference) = Response::of(&self.base, run, noise)?;
             // Without the old data.
             response.information.fill(0.0);
-            Some(response.separation(&difference) / self.rivals[0].inflation)
+            Some(response.separation(&difference) / self.models[0].inflation)
         });
         let gained = explainable.filter(|d| d.is_finite()).unwrap_or(0.0);
         Tried {
@@ -112,8 +112,8 @@ impl Rivals<'_> {
     fn refitted(&self, plan: &Planned) -> Vec<f64> {
         let noise = plan.noise(self.evidence.noise);
         let one_way = |truth: usize, rival: usize| {
-            let run = plan.measured(self.rivals[truth].model)?;
-            refitted(&run, &self.rivals[rival], noise)
+            let run = plan.measured(self.models[truth].model)?;
+            refitted(&run, &self.models[rival], noise)
         };
         let separation = |pair: usize| {
             let (there, back) = rayon::join(|| one_way(0, pair + 1), || one_way(pair + 1, 0));
@@ -124,7 +124,7 @@ impl Rivals<'_> {
 
     /// The menu but for the recipes that are `known`, best first.
     fn tried(&self, limits: &ExperimentLimits, known: &[&Recipe]) -> Vec<Tried> {
-        let models: Vec<&Model> = self.rivals.iter().map(|rival| rival.model).collect();
+        let models: Vec<&Model> = self.models.iter().map(|rival| rival.model).collect();
         let plans = (0..COUNT).into_par_iter().filter_map(|index| planned(index, &models, limits));
         let plans = plans.filter(|plan| !known.contains(&&plan.recipe));
         let mut tried: Vec<Tried> = plans.map(|plan| self.evaluated(plan)).collect();
@@ -257,7 +257,7 @@ fn distinguish(
 ) -> Result<Option<NextExperiment>, FitError> {
     let rivals = models.par_iter().map(|model| Rival::new(model, evidence));
     let question = Rivals {
-        rivals: rivals.collect::<Result<Vec<_>, FitError>>()?,
+        models: rivals.collect::<Result<Vec<_>, FitError>>()?,
         base: Rival::new(base, evidence)?,
         names,
         evidence,

@@ -42,7 +42,7 @@ impl Tried {
 /// The undetected effects for which a menu is evaluated.
 struct Undetected<'a> {
     model: &'a Model,
-    undetected: Vec<&'static str>,
+    effects: Vec<&'static str>,
     /// The model with each of them at its typical size, with which the run keeps its limits too.
     with: Vec<Model>,
     information: ExpectedInformation,
@@ -74,7 +74,7 @@ impl Undetected<'_> {
                 let own = all.iter().find(|own| own.0 == *id);
                 own.map_or(0.0, |own| own.1)
             };
-            let information = self.undetected.iter().map(of).collect();
+            let information = self.effects.iter().map(of).collect();
             Some(Tried { plan, information })
         });
         let mut tried: Vec<Tried> = tried.collect();
@@ -86,7 +86,7 @@ impl Undetected<'_> {
     /// The effects that the best run of a menu does not show, each with the reason.
     fn hidden(&self, tried: &[Tried], limits: &ExperimentLimits) -> Vec<Hidden> {
         let best = tried.first();
-        let places = 0..self.undetected.len();
+        let places = 0..self.effects.len();
         let left: Vec<usize> =
             places.filter(|place| !best.is_some_and(|best| best.shows_effect(*place))).collect();
         let shows = |tried: &[Tried], place: usize| tried.iter().any(|own| own.shows_effect(place));
@@ -108,7 +108,7 @@ impl Undetected<'_> {
         };
         let hidden = left
             .into_iter()
-            .map(|place| Hidden { effect: self.undetected[place], reason: reason(place) });
+            .map(|place| Hidden { effect: self.effects[place], reason: reason(place) });
         hidden.collect()
     }
 }
@@ -168,7 +168,7 @@ pub(super) fn reveal(
     let question = Undetected {
         model,
         with: with.filter_map(|id| with_typical(model, id, evidence)).collect(),
-        undetected,
+        effects: undetected,
         information: ExpectedInformation::new(model, &missing, evidence, basis),
         made: evidence.parts.get(1..).unwrap_or_default(),
     };
@@ -199,10 +199,9 @@ pub(super) fn reveal(
     let Some(best) = best else {
         return Some(nothing());
     };
-    let places = (0..question.undetected.len()).filter(|place| best.shows_effect(*place));
+    let places = (0..question.effects.len()).filter(|place| best.shows_effect(*place));
     let places: Vec<usize> = places.collect();
-    let reveals: Vec<&'static str> =
-        places.iter().map(|place| question.undetected[*place]).collect();
+    let reveals: Vec<&'static str> = places.iter().map(|place| question.effects[*place]).collect();
     let weakest = places.iter().map(|place| best.information[*place]);
     Some(NextExperiment {
         finding: Recommendation::Shows,
