@@ -126,7 +126,7 @@ impl Candidate {
 }
 
 /// Every candidate, those of the answer first, in the order in which they join the model: each with the fall of the
-/// held-out error on its own rung of the ladder and its size beside the others, which `best`, the
+/// held-out error on its own rung of the ladder and its size besides the others, which `best`, the
 /// reported fit of the last rung, gives.
 pub(super) fn candidates(
     evidence: &Evidence,

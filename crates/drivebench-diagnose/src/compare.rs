@@ -30,7 +30,7 @@ pub struct SignalComparison {
     pub holdout: SignalScore,
 }
 
-/// The motor's torque beside that of the inverse model; the figures are those of the weak form.
+/// The motor's torque and that of the inverse model; the figures are those of the weak form.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TorqueComparison {
     pub fit_percent: f64,

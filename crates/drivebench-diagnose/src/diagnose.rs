@@ -26,7 +26,7 @@ use drivebench_model::plant::effect::{self, CATALOGUE};
 use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
-/// Largest share of the explainable error for unknown parts and the disturbance together, beside the named effects.
+/// Largest share of the explainable error for unknown parts and the disturbance together, besides the named effects.
 const HALF_SHARE: f64 = 0.5;
 /// Least increase of the confirming run's log-likelihood by the named effects, in its standard deviations.
 pub const CONFIRMED_SIGMAS: f64 = 3.0;
@@ -79,7 +79,7 @@ pub struct Diagnosis {
     /// What predicts the hold-out as well as the model does, where that is why nothing is concluded.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reason: Option<TrivialPrediction>,
-    /// Of the motor, with every effect of the answer beside them.
+    /// Of the motor, with every effect of the answer besides them.
     #[serde(serialize_with = "by_key")]
     pub parameters: Vec<ParameterEstimate>,
     pub effect: Option<&'static str>,
@@ -119,7 +119,7 @@ pub struct Diagnosis {
     pub next_experiment: Option<NextExperiment>,
     /// Whether the search ended by its budget of work before a set of effects stood: what it did not find may be there.
     pub search_was_cut: bool,
-    /// Effects of the baseline that are not needed beside the others.
+    /// Effects of the baseline that are not needed besides the others.
     #[serde(skip)]
     pub superfluous: Vec<&'static str>,
     /// Effects added to the model since, each with a candidate that these runs do not distinguish from it.
@@ -344,7 +344,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         reported.judged_by_error(rung.score.nrms, floor.expected())
     };
     let baseline = bench.as_reported(&bench.with_deviations(base.fit.clone(), inference));
-    let model = judged(reported, best).judged_beside(&inference.confusable);
+    let model = judged(reported, best).judged_with(&inference.confusable);
     let baseline = judged(baseline, base);
     let candidates = candidates(evidence, floor, inference, (rungs, &model));
     let is_excited = |candidate: &Candidate| candidate.status != Status::NotExcited;

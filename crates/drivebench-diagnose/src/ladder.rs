@@ -61,7 +61,7 @@ impl Bench {
         Self::for_fits_of(&[], model, evidence)
     }
 
-    /// The same for fits of these effects beside those of the model.
+    /// The same for fits of these effects besides those of the model.
     pub(super) fn for_fits_of(
         beside: &[&'static str],
         model: &Model,
@@ -89,7 +89,7 @@ impl Bench {
         Ok((bench, fit))
     }
 
-    /// Joint inference of these effects beside the baseline from all runs.
+    /// Joint inference of these effects besides the baseline from all runs.
     pub(super) fn infer(
         &self,
         baseline: &Fitted,
@@ -393,7 +393,7 @@ pub struct AddResult {
     /// Posterior probability that the effect is present, jointly with all others.
     #[serde(skip)]
     pub probability: f64,
-    /// Effects of the model that are not needed beside the others.
+    /// Effects of the model that are not needed besides the others.
     #[serde(skip)]
     pub superfluous: Vec<&'static str>,
     /// What kept it from being added whatever its probability is.
@@ -419,7 +419,7 @@ findings! {
         NotJudged { why: &'static str } = "cannot_be_judged",
         /// It is present; the effects from which these runs do not distinguish it.
         There { rivals: Vec<&'static str> } = "is_there",
-        /// It is not present beside the named effects; whether it would be detectable.
+        /// It is not present besides the named effects; whether it would be detectable.
         NotThere { beside: Vec<&'static str>, would_show: bool } = "is_not_there",
         Needed = "is_needed",
         Superfluous = "is_superfluous",
@@ -449,7 +449,7 @@ impl AddResult {
     }
 }
 
-/// Refits `model` with `effect` added; refused, with the reason, where the runs do not show it beside all others.
+/// Refits `model` with `effect` added; refused, with the reason, where the runs do not show it besides all others.
 pub fn add(
     effect: &'static dyn Effect,
     model: &Model,

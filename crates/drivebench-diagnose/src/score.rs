@@ -170,7 +170,7 @@ impl Fitted {
 
     /// The same with the values of effects that runs do not distinguish from others, the second of each pair, unsettled: valid only if
     /// the others are not present.
-    pub(super) fn judged_beside(mut self, confusable: &[[&'static str; 2]]) -> Self {
+    pub(super) fn judged_with(mut self, confusable: &[[&'static str; 2]]) -> Self {
         for [id, rival] in confusable {
             let is_own = |key: &str| {
                 let rest = key.strip_prefix(id);

@@ -210,8 +210,12 @@ impl RecordedChannels {
         self.runs.push((run.name.clone(), signals));
     }
 
-    /// The channels that a run has beside `known`.
-    fn beside(&self, run: &Scenario, known: &[SignalTrace]) -> impl Iterator<Item = SignalTrace> {
+    /// The channels that a run has besides `known`.
+    fn other_channels(
+        &self,
+        run: &Scenario,
+        known: &[SignalTrace],
+    ) -> impl Iterator<Item = SignalTrace> {
         let recorded = run.part_of.first().unwrap_or(&run.name);
         let own = self.runs.iter().find(|(name, _)| name == recorded);
         let signals = own.into_iter().flat_map(|(_, signals)| signals);
@@ -255,7 +259,7 @@ impl Traces {
             if run.input == Input::Voltage {
                 signals.push(command(run));
             }
-            let others: Vec<SignalTrace> = recorded.beside(run, &signals).collect();
+            let others: Vec<SignalTrace> = recorded.other_channels(run, &signals).collect();
             signals.extend(others);
             let begins = run.sample_time_s.get(run.scored.start).map(since);
             // A split run is shown whole.

@@ -153,7 +153,7 @@ fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) ->
 }
 
 /// The last named effect that lowers the errors on both runs by no more than chance, where those before it leave an
-/// error at the floor: any, where the baseline is at the floor, and beside others one that is not detectable in these runs.
+/// error at the floor: any, where the baseline is at the floor, and besides others one that is not detectable in these runs.
 fn by_chance(
     bench: &Bench,
     inference: &Inference,

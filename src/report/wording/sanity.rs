@@ -87,11 +87,13 @@ fn signal(fault: &SignalFault) -> String {
             "the shaft does not turn in {duration_s:.3} s (speed 0 +- {noise_rad_s:.2} rad/s): only resistance and inductance \
              can be found"
         ),
-        SignalFault::Outlier { key, at_s, value, beside: [before, after], count, of } => format!(
-            "{key} reads {value:.4} at {at_s:.4} s between {before:.4} and {after:.4} ({count} such {} of {of}): no machine \
+        SignalFault::Outlier { key, at_s, value, neighbours: [before, after], count, of } => {
+            format!(
+                "{key} reads {value:.4} at {at_s:.4} s between {before:.4} and {after:.4} ({count} such {} of {of}): no machine \
              moves like that",
-            rows_of(*count)
-        ),
+                rows_of(*count)
+            )
+        }
         SignalFault::CounterOverflows { key, jump, counts, rows, at_s, values: [from, to] } => {
             let counts = match counts {
                 Some(counts) => format!("{counts} counts of its step"),

@@ -634,7 +634,7 @@ pub(super) const QUIET: Noise = Noise {
     sensors: 0.1,
 };
 
-/// The same beside a disturbance of the load and an error of the voltage.
+/// The same besides a disturbance of the load and an error of the voltage.
 #[cfg(test)]
 pub(super) const DISTURBED: Noise = Noise { disturbance_n_m: 0.01, input: 0.05, ..QUIET };
 

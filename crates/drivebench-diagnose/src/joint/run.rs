@@ -92,7 +92,7 @@ impl<'a> LinearisedRun<'a> {
         }
     }
 
-    /// Change of the whitened innovations by another model, beside the run's own events, over `step`, in the whole run or
+    /// Change of the whitened innovations by another model, besides the run's own events, over `step`, in the whole run or
     /// the beginning of it that `scenario` is; zero where it cannot be simulated.
     pub(super) fn difference(&self, model: &Model, scenario: &Scenario, step: f64) -> Vec<f32> {
         let model = with_events(model, &self.events);

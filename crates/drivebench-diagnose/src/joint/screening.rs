@@ -226,7 +226,7 @@ mod tests {
     use drivebench_model::plant::testing::record;
     use drivebench_model::plant::{Model, State};
 
-    /// Candidates beside `model` in a run of `truth`, by their names.
+    /// Candidates besides `model` in a run of `truth`, by their names.
     fn candidates(model: &Model, truth: &Model) -> impl Fn(&str) -> Candidate + use<> {
         let levels_v = [30.0, -40.0, 60.0, -20.0, 50.0, -60.0, 25.0, -45.0, 80.0, -30.0];
         let events = levels_v.iter().enumerate().map(|(k, level_v)| (0.25 * k as f64, *level_v));

@@ -81,7 +81,7 @@ struct Ranked {
 }
 
 /// The variables on which the error depends, the largest share first. `refitted`: whether the error is what the
-/// equation's own parameters leave, so that their columns stand beside every variable's.
+/// equation's own parameters leave, so that their columns stand besides every variable's.
 pub(super) fn ranked(
     windows: &Windows<'_>,
     equation: Balance,

@@ -220,7 +220,7 @@ fn harmonics(angle_rad: f64, weight: f64, row: &mut [f64]) {
     }
 }
 
-/// Regression of an error on columns beside the equation's own.
+/// Regression of an error on columns besides the equation's own.
 struct Explained {
     /// Adjusted share of the variance that the own columns leave.
     r2: f64,

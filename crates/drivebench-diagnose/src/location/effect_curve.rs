@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The points are measured, the line is computed, and both pass through the same windows: where the form is wrong the line
-//! misses the points. A change of the equation's own parameters beside the effect is taken out of both.
+//! misses the points. A change of the equation's own parameters besides the effect is taken out of both.
 
 use std::f64::consts::TAU;
 

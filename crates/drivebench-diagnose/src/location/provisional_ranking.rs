@@ -23,7 +23,7 @@ const NAMED_SHARE: f64 = 0.3;
 pub struct RankedEffect {
     pub effect: &'static str,
     pub equation: &'static str,
-    /// Share of the equation's squared error beyond the noise that follows the effect, beside the equation's own
+    /// Share of the equation's squared error beyond the noise that follows the effect, besides the equation's own
     /// parameters.
     pub share: f64,
     /// Windows of the regression.

@@ -138,7 +138,7 @@ fn widened(limits: &ExperimentLimits) -> Vec<(HiddenReason, ExperimentLimits)> {
     all
 }
 
-/// The run that shows most of the effects that these runs would not, beside the estimated model. `None` where
+/// The run that shows most of the effects that these runs would not, besides the estimated model. `None` where
 /// all were shown, or where a run cannot be evaluated: much is not explained, no run of the menu could be
 /// simulated, or the model has an effect of a single run.
 pub(super) fn reveal(

@@ -29,8 +29,8 @@ findings! {
         SpeedZero { unexplained: f64 } = "speed_zero_while_the_shaft_turns",
         SpeedDead { from_s: f64, to_s: f64, unexplained: f64 } = "speed_sensor_dead",
         ShaftAtRest { duration_s: f64, noise_rad_s: f64 } = "shaft_does_not_turn",
-        /// One of `count` wild values, and those beside it.
-        Outlier { key: &'static str, at_s: f64, value: f64, beside: [f64; 2], count: usize, of: usize } = "outlier",
+        /// One of `count` wild values, and its neighbours.
+        Outlier { key: &'static str, at_s: f64, value: f64, neighbours: [f64; 2], count: usize, of: usize } = "outlier",
         /// The size of the jump, in counts of its step where they are a whole number of bits, and the values of the first.
         CounterOverflows { key: &'static str, jump: f64, counts: Option<f64>, rows: usize, at_s: f64, values: [f64; 2] } = "counter_overflows",
         SignLost { key: &'static str, values: [f64; 2], voltage: &'static str, rows: usize } = "sign_lost",

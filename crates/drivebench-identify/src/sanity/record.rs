@@ -166,7 +166,7 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
         key,
         at_s: time_s[first],
         value: values[first],
-        beside: [values[first - 1], values[first + 1]],
+        neighbours: [values[first - 1], values[first + 1]],
         count: spikes.len(),
         of: values.len(),
     };
