@@ -138,26 +138,37 @@ fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
 /// Requests of the round-trip probe.
 const PROBES: usize = 50;
 
-/// Round trips of the requests that were answered, how many of them with an exception, and the error of the last that was not.
-fn probe(
-    client: &mut RawClient,
-    address: u16,
-) -> Result<(Vec<Duration>, usize, Option<LinkError>), Failure> {
+/// What came of the requests.
+#[derive(Default)]
+struct Probed {
+    /// Of those that were answered.
+    round_trips: Vec<Duration>,
+    exceptions: usize,
+    /// The last of them.
+    exception: Option<LinkError>,
+    /// Of the last that was not answered.
+    last_error: Option<LinkError>,
+}
+
+fn probe(client: &mut RawClient, address: u16) -> Result<Probed, Failure> {
     let request = ReadRequest { table: RegisterTable::Holding, address, count: 1 };
-    let (mut round_trips, mut exceptions, mut last_error) = (Vec::new(), 0, None);
+    let mut probed = Probed::default();
     for sent in 0..PROBES {
         if sent >= 3 && !client.has_answered() {
             break;
         }
-        let reply = client.read(request);
-        exceptions += usize::from(matches!(reply, Err(LinkError::Exception { .. })));
-        match reply {
-            Ok(_) | Err(LinkError::Exception { .. }) => round_trips.push(client.last_round_trip()),
+        match client.read(request) {
+            Ok(_) => probed.round_trips.push(client.last_round_trip()),
+            Err(error @ LinkError::Exception { .. }) => {
+                probed.round_trips.push(client.last_round_trip());
+                probed.exceptions += 1;
+                probed.exception = Some(error);
+            }
             Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
-            Err(error) => last_error = Some(error),
+            Err(error) => probed.last_error = Some(error),
         }
     }
-    Ok((round_trips, exceptions, last_error))
+    Ok(probed)
 }
 
 /// The rule that sets the latency timer of FTDI adapters whenever one is plugged in.
@@ -209,6 +220,9 @@ struct RoundTripFindings {
     /// Exceptions included.
     answered: usize,
     exceptions: usize,
+    /// Code and name of the last of them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    exception: Option<String>,
     p50_us: f64,
     p99_us: f64,
     worst_us: f64,
@@ -221,11 +235,11 @@ struct RoundTripFindings {
 impl RoundTripFindings {
     /// `budget`: the serial line with its gaps, nothing added yet.
     fn of(
-        mut round_trips: Vec<Duration>,
-        exceptions: usize,
+        probed: Probed,
         asked: usize,
         budget: Option<MeasuredLine>,
     ) -> Option<Self> {
+        let Probed { mut round_trips, exceptions, exception, .. } = probed;
         round_trips.sort_unstable();
         let last = round_trips.len().checked_sub(1)?;
         let at = |permille: usize| round_trips[(last * permille + 500) / 1000].as_secs_f64();
@@ -240,6 +254,15 @@ impl RoundTripFindings {
             asked,
             answered: round_trips.len(),
             exceptions,
+            exception: exception.and_then(|error| match error {
+                LinkError::Exception { code: 2, .. } => Some(
+                    "exception 0x02 illegal data address (--address names a register that the unit does not have)".to_owned(),
+                ),
+                LinkError::Exception { code, name, .. } => {
+                    Some(format!("exception {code:#04x} {name}"))
+                }
+                _ => None,
+            }),
             p50_us: p50_s * 1e6,
             p99_us: at(990) * 1e6,
             worst_us: at(1000) * 1e6,
@@ -277,7 +300,8 @@ impl Findings {
         let scan = look.units.map(|units| scan(target, &mut settings, units, tap, terminal));
         let scan = scan.transpose()?;
         let mut client = open_line(target, &settings, tap, terminal)?;
-        let (round_trips, exceptions, last_error) = probe(&mut client, look.address)?;
+        let mut probed = probe(&mut client, look.address)?;
+        let last_error = probed.last_error.take();
         let names = client.names()?;
         let answers_function_8 = client.sends_back()?;
         let counters = client.counters();
@@ -295,7 +319,7 @@ impl Findings {
             latency,
             settings,
             scan,
-            round_trip: RoundTripFindings::of(round_trips, exceptions, PROBES, budget),
+            round_trip: RoundTripFindings::of(probed, PROBES, budget),
             names,
             answers_function_8,
             counters,
@@ -426,13 +450,10 @@ impl Latency {
 
 impl RoundTripFindings {
     fn text(&self) -> String {
-        let refused = match self.exceptions {
-            0 => "",
-            all if all == self.answered => {
-                ", all with an exception (--address names a register that the unit does not have)"
-            }
-            _ => ", some with an exception",
-        };
+        let share = if self.exceptions == self.answered { "all" } else { "some" };
+        let exception = self.exception.as_ref();
+        let refused = exception.map(|exception| format!(", {share} with {exception}"));
+        let refused = refused.unwrap_or_default();
         format!(
             "{} of {} requests answered{refused}; {:.0} us (median), {:.0} us (99 %), {:.0} us (worst)",
             self.answered, self.asked, self.p50_us, self.p99_us, self.worst_us
@@ -510,7 +531,11 @@ mod tests {
             no_timer: false,
             settings: Settings { baud: 115_200, framing, unit: 1 },
             scan: None,
-            round_trip: RoundTripFindings::of(trips, 0, 50, Some(budget)),
+            round_trip: RoundTripFindings::of(
+                Probed { round_trips: trips, ..Probed::default() },
+                50,
+                Some(budget),
+            ),
             names: vec!["Acme".to_owned(), "VX-1".to_owned()],
             answers_function_8: Some(false),
             counters: RawCounters {
@@ -553,9 +578,10 @@ mod tests {
         }
         let mut without_timer = findings;
         (without_timer.latency, without_timer.no_timer) = (None, true);
-        without_timer.round_trip.as_mut().unwrap().exceptions = 50;
+        let trips = without_timer.round_trip.as_mut().unwrap();
+        (trips.exceptions, trips.exception) = (50, Some("exception 0x06 device busy".to_owned()));
         let text = without_timer.text();
-        assert!(text.contains("50 of 50 requests answered, all with an exception"));
+        assert!(text.contains("50 of 50 requests answered, all with exception 0x06 device busy;"));
         assert!(text.contains("no latency timer"), "{text}");
         let scan =
             Scan { tried: 1, found: Some((115_200, Framing::EightNoneOne)), units: vec![1, 3] };

@@ -560,6 +560,7 @@ fn try_line(
         let (fit, reason) = match report {
             Some(Ok(report)) => fit(&report),
             Some(Err(error @ LinkError::Gone { .. })) => return Err(error.into()),
+            Some(Err(error @ LinkError::Exception { .. })) => (Fit::NoAnswer, error.to_string()),
             silent => {
                 is_dead |= silent.is_some() && !client.has_answered();
                 (Fit::NoAnswer, format!("at {line}"))

@@ -195,21 +195,6 @@ fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure>
     }
 }
 
-/// A link error with the help for registers that the user has chosen.
-fn failure(error: LinkError) -> Failure {
-    match error {
-        LinkError::Exception { .. } => Failure::link(
-            error.to_string(),
-            "the unit has no such register, or not so many in one request; addresses count from 0 (40001 is 0)",
-        ),
-        LinkError::Gone { .. } => {
-            let help = "the cable or the peer is gone: check it, and start the command again";
-            Failure::link(error.to_string(), help)
-        }
-        other => other.into(),
-    }
-}
-
 /// The result as JSON.
 #[derive(Serialize)]
 struct ReadResult {
@@ -284,6 +269,8 @@ impl ReadResult {
                 self.answered, self.asked
             );
         }
+        let busy = (c.busy_repeats > 0).then_some(c.busy_repeats);
+        lines(&mut text, "reads repeated because the unit was busy: ", busy);
         // A refused probe that the line is in step is no refused read.
         let is_clean = self.answered == self.asked
             && self.reads.iter().all(|read| read.error.is_none())
@@ -318,7 +305,7 @@ fn verdict(batch: Batch) -> Result<(), Failure> {
     }
     let missing = batch.asked - batch.answered.min(batch.asked);
     match batch.reads.into_iter().find_map(|read| read.values.err()) {
-        Some(error) => Err(failure(error)),
+        Some(error) => Err(error.into()),
         None => Err(Failure::link(
             format!("{missing} of {} reads got no answer", batch.asked),
             "see the counters: timeout (cable, power), crc (noise, baud rate), stale (late replies: a longer --timeout-ms)",
@@ -396,7 +383,7 @@ fn write_once<'a>(
         counters: client.counters(),
     };
     let verdict = match (written, after) {
-        (Err(error), _) | (Ok(()), Err(error)) => Err(failure(error)),
+        (Err(error), _) | (Ok(()), Err(error)) => Err(error.into()),
         (Ok(()), Ok(_)) if confirmed => Ok(()),
         (Ok(()), Ok(after)) => Err(Failure::link(
             format!("the unit acknowledged {values:?} at {address} and holds {after:?}"),

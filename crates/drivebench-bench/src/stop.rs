@@ -205,6 +205,7 @@ impl StopWatch {
 mod tests {
     use super::*;
     use crate::testing::has;
+    use drivebench_link::Requested;
 
     #[test]
     fn a_stop_is_timed_from_its_decision() {
@@ -236,6 +237,7 @@ mod tests {
             request: "the command".to_owned(),
             code: 6,
             name: "device busy",
+            requested: Requested::default(),
         };
         watch.answered::<()>(&Err(busy));
         assert_eq!(watch.stop(None).unwrap().last_refusal, None);

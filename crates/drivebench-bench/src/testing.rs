@@ -29,7 +29,7 @@ use drivebench_control::Actuator;
 use drivebench_emulator::truth::MotorTruth;
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use drivebench_link::{
-    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, exception_name,
+    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, Requested, exception_name,
 };
 use drivebench_model::plant::Model;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
@@ -323,6 +323,7 @@ pub(super) fn refusal(link: String, code: u8) -> LinkError {
         request: "the command".to_owned(),
         code,
         name: exception_name(code),
+        requested: Requested::default(),
     }
 }
 

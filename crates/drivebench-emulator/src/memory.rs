@@ -15,7 +15,7 @@ use super::pace::Pace;
 use drivebench_link::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use drivebench_link::timeline::{self, Timeline};
 use drivebench_link::{
-    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, VirtualClock, exception_name,
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, VirtualClock, Requested, exception_name,
     signed_difference, stop_confirmed,
 };
 use drivebench_model::sample::{Command, Demand, Sample};
@@ -107,6 +107,7 @@ impl MemoryLink {
                 request: request.to_owned(),
                 code: exception.code(),
                 name: exception_name(exception.code()),
+                requested: Requested::default(),
             });
         }
         self.statistics.ok += 1;

@@ -15,6 +15,7 @@
 //!                  +-- modbus/raw.rs (registers of any unit) <- probe/ (read-only: identity, and check of the profile)
 //!                  +-- timeline.rs (drive time in seconds since connect)
 //!                  +-- command_times.rs (longest times of enable, stop and reset)
+//!                  +-- exceptions.rs (exceptions of Modbus: sender, and the way on)
 //!                  +-- reopen.rs (reconnection: times, port name, check of the identity)
 //! ```
 //!
@@ -26,6 +27,7 @@ mod bounded_tests;
 mod budget;
 pub mod burst;
 mod command_times;
+mod exceptions;
 mod link;
 mod link_core;
 mod link_error;
@@ -58,6 +60,7 @@ mod waiting;
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
 pub use command_times::CommandTimes;
+pub use exceptions::{Requested, exception_name};
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
 pub use link_core::stop_confirmed;
 pub use link_error::Result;
@@ -74,7 +77,7 @@ pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, Signa
 pub use profiled::ProfiledLink;
 pub use register_bus::{
     MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
-    exception_name, registers,
+    registers,
 };
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};

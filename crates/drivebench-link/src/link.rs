@@ -314,6 +314,7 @@ pub trait DriveLink: Send {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exceptions::Requested;
 
     #[test]
     fn missing_facts_of_a_drive_are_named() {
@@ -358,7 +359,13 @@ mod tests {
         let (link, request) = (String::new(), String::new());
         let timeout =
             LinkError::Timeout { link: link.clone(), deadline_ms: 1, request: request.clone() };
-        let exception = LinkError::Exception { link: link.clone(), request, code: 2, name: "x" };
+        let exception = LinkError::Exception {
+            link: link.clone(),
+            request,
+            code: 2,
+            name: "x",
+            requested: Requested::default(),
+        };
         let (found, expected) = (2, 1);
         let version = LinkError::Version { link, found, expected };
         let of = |class: fn(String, String) -> LinkError| Err(class(String::new(), String::new()));

@@ -2,6 +2,8 @@
 
 use thiserror::Error;
 
+use super::exceptions::{self, Requested};
+
 /// Error of an exchange. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
 #[derive(Clone, Debug, Error)]
 pub enum LinkError {
@@ -18,8 +20,12 @@ pub enum LinkError {
     Unproven(String, String),
     #[error("{}: the reply belongs to another request: {}", whom(.0), .1)]
     Mismatch(String, String),
-    #[error("{}: the drive refused {request}: exception {code:#04x} {name}", whom(link))]
-    Exception { link: String, request: String, code: u8, name: &'static str },
+    #[error(
+        "{}: {}: exception {code:#04x} {name}",
+        whom(link),
+        exceptions::sentence(*code, *requested, request)
+    )]
+    Exception { link: String, request: String, code: u8, name: &'static str, requested: Requested },
     #[error("{}: the link is gone: {}", whom(.0), .1)]
     Gone(String, String),
     #[error(
@@ -70,9 +76,7 @@ impl LinkError {
             Self::Mismatch { .. } => {
                 "two devices may share the address or the bus; see the link statistics"
             }
-            Self::Exception { .. } => {
-                "the profile asks for something this drive does not have; check the register map"
-            }
+            Self::Exception { code, requested, .. } => exceptions::help(*code, *requested),
             Self::Gone { .. } => {
                 "check the cable, the adapter, and that the peer is switched on; then start again"
             }

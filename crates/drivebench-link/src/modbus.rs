@@ -28,10 +28,11 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
+use super::exceptions::{BusyPauses, Requested, exception_name};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, own_link, stop_confirmed};
 use super::proof::{DEADLINE_SILENCES, End, Method, Policy, Proof, Step};
-use super::register_bus::{RTU, ReadRequest, RegisterTable, exception_name, registers};
+use super::register_bus::{RTU, ReadRequest, RegisterTable, registers};
 use super::reply::{Echo, FrameKind};
 use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
@@ -60,6 +61,10 @@ pub struct ModbusLink {
     unit: u8,
     proof: Proof,
     retries: u64,
+    /// Reads that were repeated because the unit was busy.
+    busy_repeats: u64,
+    /// It was busy to the end of the last of them: it gets no more time before it has answered.
+    stays_busy: bool,
     resync: Duration,
     /// Probes for resynchronisation, and the number of disturbances that caused them.
     probes: u64,
@@ -98,6 +103,18 @@ impl<'a> Question<'a> {
         Self::plain(request, read.pdu(), what, allowed)
     }
 
+    /// For the help of an exception.
+    fn requested(&self) -> Requested {
+        let count = match &self.request {
+            Request::ReadHoldingRegisters(_, count)
+            | Request::ReadInputRegisters(_, count)
+            | Request::ReadWriteMultipleRegisters(_, count, ..) => *count,
+            Request::WriteMultipleRegisters(_, values) => quantity(values.len()),
+            _ => 1,
+        };
+        Requested { function: self.pdu[0], count, is_of_profile: false }
+    }
+
     const fn numbered(mut self) -> Self {
         self.is_numbered = true;
         self
@@ -129,6 +146,8 @@ impl ModbusLink {
             kind,
             unit,
             retries: 0,
+            busy_repeats: 0,
+            stays_busy: false,
             resync: Duration::ZERO,
             probes: 0,
             resynchronisations: 0,
@@ -236,6 +255,22 @@ impl ModbusLink {
     ) -> Result<Answer<T>> {
         self.in_step(&question.pdu)?;
         self.call(question, check)
+    }
+
+    /// Repeats a read for a while as long as the unit is busy. Not within the bound of an exchange: there the next cycle reads again.
+    fn while_busy<T>(&mut self, mut ask: impl FnMut(&mut Self) -> Result<T>) -> Result<T> {
+        let mut pauses = BusyPauses::default();
+        loop {
+            let result = ask(self);
+            let may_wait = !self.stays_busy && !self.core.bound.is_set();
+            let pause = result.as_ref().err().filter(|_| may_wait).and_then(|e| pauses.next(e));
+            let Some(pause) = pause else {
+                self.stays_busy = matches!(result, Err(LinkError::Exception { code: 5 | 6, .. }));
+                return result;
+            };
+            self.busy_repeats += 1;
+            wait_until(now() + pause);
+        }
     }
 
     /// Until the bound of the exchange is over.
@@ -371,6 +406,7 @@ impl ModbusLink {
         // What came before the request has been judged.
         self.filter.inner().reception.take_anomaly();
         self.proof.sent(&question.pdu, question.is_probe, sent);
+        let requested = question.requested();
         let Question { request, what, is_probe, .. } = question;
         let reply = {
             let bound = &self.core.bound;
@@ -387,12 +423,12 @@ impl ModbusLink {
         let waited = received.saturating_duration_since(sent);
         let result = match reply {
             Some(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Some(Ok(Err(code))) => Err(self.refusal(what, code.into())),
+            Some(Ok(Err(code))) => Err(self.refusal(what, requested, code.into())),
             // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
             Some(Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
                 result: Err(refused),
                 ..
-            }))) => Err(self.refusal(what, refused.exception.into())),
+            }))) => Err(self.refusal(what, requested, refused.exception.into())),
             Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
             Some(Err(Error::Transport(error))) => Err(self.broken(&error)),
             // No reply in time: what came instead tells the class.
@@ -447,12 +483,13 @@ impl ModbusLink {
         }
     }
 
-    fn refusal(&self, what: &str, code: u8) -> LinkError {
+    fn refusal(&self, what: &str, requested: Requested, code: u8) -> LinkError {
         LinkError::Exception {
             link: self.core.name.clone(),
             request: what.to_owned(),
             code,
             name: exception_name(code),
+            requested,
         }
     }
 
@@ -490,7 +527,7 @@ impl DriveLink for ModbusLink {
 
     fn identify(&mut self) -> Result<Identity> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
-        let block = self.read_checked(read, &read.text())?.value;
+        let block = self.while_busy(|link| link.read_checked(read, &read.text()))?.value;
         let block = block
             .as_slice()
             .try_into()
@@ -501,7 +538,7 @@ impl DriveLink for ModbusLink {
         // The device identification is optional.
         let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = identification(ReadCode::Regular, 0, NAMES, allowed);
-        match self.read_with_retries(&question, objects) {
+        match self.while_busy(|link| link.read_with_retries(&question, objects)) {
             Ok(names) => {
                 let text = |id| object_text(&names.value, id);
                 identity.vendor = text(0).unwrap_or_default();
@@ -513,7 +550,7 @@ impl DriveLink for ModbusLink {
         }
         self.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         // The origin of the time axis.
-        self.note_clock()?;
+        self.while_busy(Self::note_clock)?;
         Ok(identity)
     }
 

@@ -42,6 +42,7 @@ impl PollingBackoff {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::exceptions::Requested;
 
     fn refused(code: u8) -> Result<()> {
         Err(LinkError::Exception {
@@ -49,6 +50,7 @@ mod tests {
             request: "read".to_owned(),
             code,
             name: "busy",
+            requested: Requested::default(),
         })
     }
 

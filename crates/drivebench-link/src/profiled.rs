@@ -26,6 +26,7 @@ use self::readings::{Clock, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
 use super::command_times::CommandTimes;
+use super::exceptions::BusyPauses;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::polling_backoff::PollingBackoff;
 use super::register_bus::{RegisterBus, Span};
@@ -671,7 +672,11 @@ impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
     }
 
     fn recognise(&mut self) -> Result<Identity> {
-        self.readings.read_all(&mut self.bus)?;
+        let mut pauses = BusyPauses::default();
+        while let Err(error) = self.readings.read_all(&mut self.bus) {
+            let pause = pauses.next(&error).ok_or(error)?;
+            self.bus.pause_until_s(self.bus.now_s() + pause.as_secs_f64());
+        }
         self.check_identity()?;
         let (mut vendor, mut product, mut firmware) =
             (String::new(), self.map.device.name.clone(), String::new());

@@ -71,21 +71,6 @@ pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
 }
 
-pub const fn exception_name(code: u8) -> &'static str {
-    match code {
-        1 => "illegal function",
-        2 => "illegal data address",
-        3 => "illegal data value",
-        4 => "device failure",
-        5 => "acknowledge: it takes long",
-        6 => "device busy",
-        8 => "memory parity error",
-        10 => "gateway path unavailable",
-        11 => "the gateway's device does not answer",
-        _ => "a code of the maker",
-    }
-}
-
 /// The host times between which something was done at the far end, s.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Span {

@@ -12,6 +12,7 @@ use firmware_protocol::stream::{
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 
 use super::burst::{Burst, Capture};
+use super::exceptions::Requested;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::{Answer, LinkCore, own_link, retried, stop_confirmed};
 use super::port::{Closed, TimedPort};
@@ -265,6 +266,7 @@ impl StreamLink {
                 ErrorCode::NotSupported => "not supported",
                 ErrorCode::DeviceFailure => "device failure",
             },
+            requested: Requested::default(),
         }
     }
 

@@ -8,7 +8,7 @@ use crate::VirtualClock;
 use crate::pace::Pace;
 use drivebench_link::{
     LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
-    Span, exception_name,
+    Requested, Span, exception_name,
 };
 
 /// Bytes of an RTU frame without its PDU: unit and check sum.
@@ -117,6 +117,11 @@ impl ForeignBus {
                 request: what(),
                 code,
                 name: exception_name(code),
+                requested: Requested {
+                    function: request.first().copied().unwrap_or_default(),
+                    count: 1,
+                    is_of_profile: true,
+                },
             });
         }
         self.statistics.ok += 1;

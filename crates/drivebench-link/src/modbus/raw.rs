@@ -38,6 +38,8 @@ pub struct RawCounters {
     /// Requests among `sent` that only proved that the line is in step.
     pub probes: u64,
     pub resynchronisations: u64,
+    /// Reads among `sent` that were repeated because the unit was busy (exceptions 05 and 06).
+    pub busy_repeats: u64,
     #[serde(flatten)]
     pub line: LineCounts,
 }
@@ -131,6 +133,7 @@ impl RawClient {
             requests: self.link.core.tally.statistics,
             probes: self.link.probes,
             resynchronisations: self.link.resynchronisations,
+            busy_repeats: self.link.busy_repeats,
             line: self.link.filter.inner().reception.line,
         }
     }
@@ -144,11 +147,12 @@ impl RawClient {
         self.link.proof.has_answered
     }
 
-    /// Reads registers, once. That the reply is not one to an equal earlier request is only proved by [`RawClient::verify`].
+    /// Reads registers, once; again for a while where the unit is busy. That the reply is not one to an equal earlier request is only proved by [`RawClient::verify`].
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
         let (what, count) = (request.text(), request.count.into());
         let question = Question::read(request, &what, self.allowed());
-        let values = self.link.ask(question, words(count))?.value;
+        let read = |link: &mut ModbusLink| link.ask(question.clone(), words(count));
+        let values = self.link.while_busy(read)?.value;
         self.link.proof.readable(request);
         Ok(values)
     }

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::budget::joint_block;
+use crate::exceptions::Requested;
 use crate::link::{LinkError, Result};
 use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
@@ -244,7 +245,7 @@ pub(super) fn in_profile(
     map: &RegisterMap,
     places: &[(&str, usize)],
 ) -> LinkError {
-    let LinkError::Exception { link, request, code, name } = error else {
+    let LinkError::Exception { link, request, code, name, requested } = error else {
         return error;
     };
     let places: Vec<String> =
@@ -254,6 +255,7 @@ pub(super) fn in_profile(
         request: format!("{request} (profile {}: {})", map.device.id, places.join(", ")),
         code,
         name,
+        requested: Requested { is_of_profile: true, ..requested },
     }
 }
 
