@@ -8,7 +8,6 @@
 //! Writing needs consent, because a register of a drive may start a motor.
 
 use std::fmt::Write as _;
-use std::sync::atomic::AtomicBool;
 
 use clap::Subcommand;
 use serde::Serialize;
@@ -19,7 +18,7 @@ use crate::runtime::output::{Terminal, lines};
 use crate::runtime::{output, signals};
 use drivebench_link::{
     Batch, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable,
-    WriteFunction, read_batch, registers,
+    WriteFunction, WriteOutcome, Written, read_batch, registers,
 };
 
 /// Read or write raw Modbus registers of any unit, over a serial port or TCP
@@ -323,6 +322,13 @@ struct WriteResult<'a> {
     after: Option<Vec<u16>>,
     /// The registers read back what was written.
     confirmed: bool,
+    outcome: WriteOutcome,
+    /// The unit accepted the write before it carried it out (exception 05): how long the registers were read again, s.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    accepted_s: Option<f64>,
+    /// Why the registers cannot be read back.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    unreadable: Option<String>,
     /// Why the write itself was not acknowledged.
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
@@ -334,8 +340,23 @@ impl WriteResult<'_> {
     fn text(&self) -> String {
         let mut text = String::new();
         let (what, address) = (registers(self.written.len()), self.address);
-        let confirmed = if self.confirmed { "confirmed by reading back" } else { "NOT confirmed" };
-        let _ = writeln!(text, "{what} at {address}: {confirmed}");
+        let taken = match self.accepted_s {
+            Some(_) => "accepted (exception 0x05 acknowledge)",
+            None => "acknowledged",
+        };
+        let outcome = match (self.outcome, self.accepted_s) {
+            (WriteOutcome::Confirmed, Some(waited_s)) => {
+                format!("{taken}, confirmed by reading back after {waited_s:.2} s")
+            }
+            (WriteOutcome::Confirmed, None) => "confirmed by reading back".to_owned(),
+            (WriteOutcome::Unreadable, _) => format!("{taken}, cannot be read back"),
+            (WriteOutcome::Pending, Some(waited_s)) => {
+                format!("{taken}, NOT carried out within {waited_s:.0} s: it may still act")
+            }
+            _ => "NOT confirmed".to_owned(),
+        };
+        let _ = writeln!(text, "{what} at {address}: {outcome}");
+        lines(&mut text, "reading back: ", &self.unreadable);
         let after = self.after.as_ref().filter(|_| !self.confirmed);
         lines(&mut text, "the unit holds ", after.map(|after| format!("{after:?}")));
         text
@@ -351,7 +372,7 @@ fn write_once<'a>(
 ) -> Result<(WriteResult<'a>, Result<(), Failure>), Failure> {
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let is_emulator = is_emulator(client)?;
-    let before = read_back(client, address, count);
+    let before = client.read_back(address, count);
     if let Err(error @ (LinkError::Timeout { .. } | LinkError::Gone { .. })) = before {
         return Err(error.into());
     }
@@ -368,29 +389,35 @@ fn write_once<'a>(
     } else {
         WriteFunction::Single
     };
-    let written = client.write(function, address, values);
-    // Acknowledged or not, the present content of the unit decides.
-    let after = read_back(client, address, count);
-    let confirmed = after.as_ref().is_ok_and(|after| after == values);
+    let done = client.write_and_read_back(function, address, values);
     let result = WriteResult {
         address,
         before,
         written: values,
-        after: after.as_ref().ok().cloned(),
-        confirmed,
-        error: written.as_ref().err().map(ToString::to_string),
+        after: done.after.as_ref().ok().cloned(),
+        confirmed: done.outcome == WriteOutcome::Confirmed,
+        outcome: done.outcome,
+        accepted_s: done.accepted_s,
+        unreadable: done.after.as_ref().err().map(ToString::to_string),
+        error: done.acknowledged.as_ref().err().map(ToString::to_string),
         is_emulator,
         counters: client.counters(),
     };
-    let verdict = match (written, after) {
-        (Err(error), _) | (Ok(()), Err(error)) => Err(error.into()),
-        (Ok(()), Ok(_)) if confirmed => Ok(()),
-        (Ok(()), Ok(after)) => Err(Failure::link(
+    Ok((result, write_verdict(done, address, values)))
+}
+
+/// Good: acknowledged or accepted, and confirmed as far as the unit gives its registers.
+fn write_verdict(done: Written, address: u16, values: &[u16]) -> Result<(), Failure> {
+    let is_taken = done.acknowledged.is_ok() || done.accepted_s.is_some();
+    match (done.outcome, done.acknowledged, done.after) {
+        (WriteOutcome::Confirmed | WriteOutcome::Unreadable, ..) if is_taken => Ok(()),
+        (WriteOutcome::Differs, _, Ok(after)) => Err(Failure::link(
             format!("the unit acknowledged {values:?} at {address} and holds {after:?}"),
             "the register may be limited, clear itself, or be writable only in another state; see the drive's manual",
         )),
-    };
-    Ok((result, verdict))
+        (_, Err(error), _) | (_, _, Err(error)) => Err(error.into()),
+        (_, Ok(()), Ok(_)) => Ok(()),
+    }
 }
 
 /// Only a unit that identifies itself as an emulator is one; any other counts as hardware.
@@ -400,13 +427,6 @@ fn is_emulator(client: &mut RawClient) -> Result<bool, Failure> {
         Err(error) if error.is_transient() => Ok(false),
         Err(error) => Err(error.into()),
     }
-}
-
-/// The values now.
-fn read_back(client: &mut RawClient, address: u16, count: u16) -> Result<Vec<u16>, LinkError> {
-    let request = ReadRequest { table: RegisterTable::Holding, address, count };
-    let batch = read_batch(client, &[request], 1, &AtomicBool::new(false));
-    batch.reads.into_iter().next().map_or(Ok(Vec::new()), |read| read.values)
 }
 
 #[cfg(test)]

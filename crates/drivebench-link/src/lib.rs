@@ -66,7 +66,7 @@ pub use link_core::stop_confirmed;
 pub use link_error::Result;
 pub use modbus::{
     Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
-    read_batch,
+    WriteOutcome, Written, read_batch,
 };
 pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use probe::{

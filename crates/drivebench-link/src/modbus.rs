@@ -42,7 +42,9 @@ use super::waiting::{Waiting, now};
 use drivebench_model::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
-pub use raw::{Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, read_batch};
+pub use raw::{
+    Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written, read_batch,
+};
 
 /// Frames of the device identification, bytes: its request, and the longest reply.
 const NAMES_BYTES: (usize, usize) = (7, 256);

@@ -7,6 +7,7 @@
 
 #[cfg(test)]
 mod tests;
+mod written;
 
 use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -29,6 +30,8 @@ use crate::timeline::identity;
 use crate::timing::wait_until;
 use crate::transaction::LineCounts;
 use crate::waiting::now;
+
+pub use written::{WriteOutcome, Written};
 
 /// Every request ends in exactly one class of the statistics.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]

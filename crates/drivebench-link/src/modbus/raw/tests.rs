@@ -350,3 +350,80 @@ fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
         assert_eq!(identity.unwrap().serial_number, "4711");
     });
 }
+
+/// A unit that refuses some functions with an exception, and carries a write out some time after its reply.
+#[test]
+fn a_write_has_done_what_its_acknowledgement_and_its_registers_state() {
+    use WriteOutcome::{Confirmed, Differs, Pending, Unconfirmed, Unreadable};
+    /// Reply to the write (0: its acknowledgement), time until it acts, and reply to reads meanwhile and afterwards.
+    type Case = (&'static str, u8, Option<u64>, u8, u8, WriteOutcome);
+    let cases: [Case; 10] = [
+        ("acknowledged", 0, Some(0), 0, 0, Confirmed),
+        ("acknowledged and ignored", 0, None, 0, 0, Differs),
+        ("acknowledged, write-only", 0, Some(0), 2, 2, Unreadable),
+        ("accepted, acts at once", 5, Some(0), 0, 0, Confirmed),
+        ("accepted, acts late", 5, Some(900), 0, 0, Confirmed),
+        ("accepted, busy meanwhile", 5, Some(900), 6, 0, Confirmed),
+        ("accepted, never acts", 5, None, 0, 0, Pending),
+        ("accepted, write-only", 5, Some(900), 2, 2, Unreadable),
+        ("busy", 6, None, 0, 0, Unconfirmed),
+        ("acknowledged, the gateway loses its unit", 0, Some(0), 11, 11, Unconfirmed),
+    ];
+    for (name, reply, acts_ms, meanwhile, afterwards, expected) in cases {
+        let mut written: Option<Instant> = None;
+        let script = move |_: usize, request: &[u8]| {
+            let pdu = &request[1..request.len() - 2];
+            let due = |at: Instant| Some(at + Duration::from_millis(acts_ms?));
+            let is_over = written.and_then(due).is_some_and(|due| now() >= due);
+            let refused = if is_over || written.is_none() { afterwards } else { meanwhile };
+            let reply = match pdu[0] {
+                6 => {
+                    assert!(written.replace(now()).is_none(), "{name}: a write is never repeated");
+                    if reply == 0 { pdu.to_vec() } else { vec![0x86, reply] }
+                }
+                8 => pdu.to_vec(),
+                function if refused != 0 => vec![function | 0x80, refused],
+                function => {
+                    let count = pdu[4];
+                    let value = if is_over { 77 } else { 50 };
+                    let words = (0..count).flat_map(|_| [0, value]);
+                    [function, 2 * count].into_iter().chain(words).collect()
+                }
+            };
+            vec![(PIECE, frame(1, &reply))]
+        };
+        with_script(300, script, |client| {
+            let done = client.write_and_read_back(WriteFunction::Single, 50, &[77]);
+            assert_eq!(done.outcome, expected, "{name}: {done:?}");
+            assert_eq!(done.accepted_s.is_some(), reply == 5, "{name}");
+            let waits = name == "accepted, never acts";
+            let waited_s = done.accepted_s.unwrap_or_default();
+            assert!(waited_s < 1.5 || waits && waited_s < 2.5, "{name}: {waited_s} s");
+        });
+    }
+}
+
+#[test]
+fn a_busy_unit_is_read_again_for_a_bounded_time() {
+    for (busy, is_read, repeats) in [(3, true, 3), (u64::MAX, false, 10)] {
+        let mut count = 0;
+        let script = move |_: usize, request: &[u8]| {
+            count += 1;
+            let pdu = &request[1..request.len() - 2];
+            let reply = match pdu[0] {
+                3 if count > busy => [&[3, 2 * pdu[4]], &vec![0; 2 * usize::from(pdu[4])][..]].concat(),
+                3 => vec![0x83, 6],
+                _ => pdu.to_vec(),
+            };
+            vec![(PIECE, frame(1, &reply))]
+        };
+        with_script(300, script, |client| {
+            let began = now();
+            for _ in 0..20 {
+                assert_eq!(client.read(ReadRequest::holding(10, 1)).is_ok(), is_read);
+            }
+            assert_eq!(client.counters().busy_repeats, repeats);
+            assert!(now().duration_since(began) < Duration::from_secs(2));
+        });
+    }
+}
