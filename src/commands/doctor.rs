@@ -234,11 +234,7 @@ struct RoundTripFindings {
 
 impl RoundTripFindings {
     /// `budget`: the serial line with its gaps, nothing added yet.
-    fn of(
-        probed: Probed,
-        asked: usize,
-        budget: Option<MeasuredLine>,
-    ) -> Option<Self> {
+    fn of(probed: Probed, asked: usize, budget: Option<MeasuredLine>) -> Option<Self> {
         let Probed { mut round_trips, exceptions, exception, .. } = probed;
         round_trips.sort_unstable();
         let last = round_trips.len().checked_sub(1)?;
@@ -353,6 +349,9 @@ impl Findings {
         }
         line("settings", self.settings_text());
         match &self.round_trip {
+            None if self.counters.line.foreign_frames > 0 => {
+                line("round trip", "no frame that came answers a request".to_owned());
+            }
             None => line("round trip", "nothing answered".to_owned()),
             Some(trips) => {
                 line("round trip", trips.text());
@@ -473,10 +472,19 @@ impl RoundTripFindings {
 }
 
 fn scan_text(scan: &Scan, is_serial: bool) -> String {
-    match scan.found {
-        None if !is_serial => "nothing answered".to_owned(),
-        None => format!("nothing answered at {} settings", scan.tried),
-        Some((baud, framing)) => {
+    match (scan.found, scan.other_unit) {
+        (None, _) if scan.only_echoes > 0 => format!(
+            "no unit answered at {} settings; the line returns what is sent, so the adapter works",
+            scan.tried
+        ),
+        (None, _) if !is_serial => "nothing answered".to_owned(),
+        (None, _) => format!("nothing answered at {} settings", scan.tried),
+        (Some((baud, framing)), Some(unit)) => {
+            let at =
+                if is_serial { format!(" at {baud} {}", framing.name()) } else { String::new() };
+            format!("frames of unit {unit} came{at}, and no unit that was tried answered")
+        }
+        (Some((baud, framing)), None) => {
             let units = scan.units.iter().map(u8::to_string).collect::<Vec<_>>().join(", ");
             if is_serial {
                 format!("answers at {baud} {}: unit {units}", framing.name())
@@ -583,9 +591,17 @@ mod tests {
         let text = without_timer.text();
         assert!(text.contains("50 of 50 requests answered, all with exception 0x06 device busy;"));
         assert!(text.contains("no latency timer"), "{text}");
-        let scan =
-            Scan { tried: 1, found: Some((115_200, Framing::EightNoneOne)), units: vec![1, 3] };
+        let scan = Scan {
+            tried: 1,
+            found: Some((115_200, Framing::EightNoneOne)),
+            units: vec![1, 3],
+            ..Scan::default()
+        };
         assert_eq!(scan_text(&scan, false), "answers: unit 1, 3");
         assert_eq!(scan_text(&scan, true), "answers at 115200 8N1: unit 1, 3");
+        let other = Scan { units: Vec::new(), other_unit: Some(0), ..scan };
+        assert!(scan_text(&other, true).starts_with("frames of unit 0 came at 115200 8N1, and"));
+        let echoing = Scan { found: None, other_unit: None, only_echoes: 1, ..other };
+        assert!(scan_text(&echoing, true).contains("the adapter works"));
     }
 }

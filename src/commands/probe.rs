@@ -19,7 +19,7 @@ use drivebench_link as drive;
 use drivebench_link::register_map::Quantity;
 use drivebench_link::{
     DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict, ProbedSignal,
-    RawClient, RawSettings, ReadRequest, Target, open_stream, probe, probe_stream,
+    RawClient, RawSettings, ReadRequest, Target, Unexpected, open_stream, probe, probe_stream,
 };
 use drivebench_model::text::number::{reading, with_unit};
 
@@ -379,6 +379,17 @@ pub(crate) struct Scan {
     /// Baud rate and framing of the first answer.
     pub(crate) found: Option<(u32, Framing)>,
     pub(crate) units: Vec<u8>,
+    /// Whole frames came there, and none of a unit that was tried: the unit of the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(crate) other_unit: Option<u8>,
+    /// Settings at which the line returned the requests and nothing else.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub(crate) only_echoes: usize,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde calls it with a reference")]
+const fn is_zero(count: &usize) -> bool {
+    *count == 0
 }
 
 /// Tries lines until a unit answers, first with `settings`, which become those of the answer. Only function code 03 is sent:
@@ -415,18 +426,31 @@ pub(crate) fn scan(
         let here =
             RawSettings { baud, framing, timeout: settings.timeout.min(patience), ..*settings };
         let mut client = RawClient::open(target, &here, tap.file())?;
+        let mut only_echoes = false;
         for unit in first..=last {
             client.set_unit(unit);
             match client.read(ReadRequest::holding(0, 1)) {
                 Ok(_) | Err(LinkError::Exception { .. }) => scan.units.push(unit),
                 Err(error @ LinkError::Gone { .. }) => return Err(error.into()),
+                Err(LinkError::Unexpected { what: Unexpected::Unit(other), .. }) => {
+                    scan.other_unit = Some(other);
+                }
+                Err(LinkError::Unexpected { what: Unexpected::Echo, .. }) => only_echoes = true,
                 Err(_) => {}
             }
         }
         drop(client);
         std::thread::sleep(SETTLING);
+        scan.only_echoes += usize::from(only_echoes);
         if let Some(unit) = scan.units.first() {
             (settings.baud, settings.framing, settings.unit) = (baud, framing, *unit);
+            scan.found = Some((baud, framing));
+            scan.other_unit = None;
+            break;
+        }
+        // A frame with a right check sum shows that the settings are right.
+        if scan.other_unit.is_some() {
+            (settings.baud, settings.framing) = (baud, framing);
             scan.found = Some((baud, framing));
             break;
         }

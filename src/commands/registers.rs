@@ -373,7 +373,10 @@ fn write_once<'a>(
     let (address, values) = (arguments.address, arguments.values.as_slice());
     let is_emulator = is_emulator(client)?;
     let before = client.read_back(address, count);
-    if let Err(error @ (LinkError::Timeout { .. } | LinkError::Gone { .. })) = before {
+    if let Err(
+        error @ (LinkError::Timeout { .. } | LinkError::Unexpected { .. } | LinkError::Gone { .. }),
+    ) = before
+    {
         return Err(error.into());
     }
     let before = before.ok();

@@ -39,7 +39,7 @@ pub enum CheckError {
 }
 
 impl CheckError {
-    pub const fn help(&self) -> &'static str {
+    pub fn help(&self) -> &'static str {
         match self {
             // The drive may have run at zero, or turned the shaft a little.
             Self::Link(LinkError::Gone { .. }) | Self::Unstopped { .. } => {

@@ -29,7 +29,8 @@ use drivebench_control::Actuator;
 use drivebench_emulator::truth::MotorTruth;
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use drivebench_link::{
-    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, Requested, exception_name,
+    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, Requested,
+    exception_name,
 };
 use drivebench_model::plant::Model;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};

@@ -15,8 +15,8 @@ use super::pace::Pace;
 use drivebench_link::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use drivebench_link::timeline::{self, Timeline};
 use drivebench_link::{
-    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Span, VirtualClock, Requested, exception_name,
-    signed_difference, stop_confirmed,
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Requested, Span, VirtualClock,
+    exception_name, signed_difference, stop_confirmed,
 };
 use drivebench_model::sample::{Command, Demand, Sample};
 

@@ -50,7 +50,9 @@ pub(super) const fn help(code: u8, requested: Requested) -> &'static str {
         (1, _) if is_of_profile => {
             "the drive does not have this function code: correct `functions` in the [link] of its profile"
         }
-        (1, 3) => "the drive may have input registers only (function code 04): `registers read --input`",
+        (1, 3) => {
+            "the drive may have input registers only (function code 04): `registers read --input`"
+        }
         (1, 4) => "the drive may have holding registers only (function code 03): leave --input out",
         (1, 6) => "the drive may take function code 16 only: add --multiple",
         (1, 16) if count > 1 => {
@@ -67,16 +69,24 @@ pub(super) const fn help(code: u8, requested: Requested) -> &'static str {
         (3, 3 | 4 | 23) if count > 1 => {
             "the drive may give fewer registers in one request: read them in smaller parts (ADDRESS:COUNT), down to one by one"
         }
-        (3, 3 | 4) => "the drive gives this register only with others, or not at all; see its manual",
+        (3, 3 | 4) => {
+            "the drive gives this register only with others, or not at all; see its manual"
+        }
         (3, _) => {
             "the value is outside the range that the drive accepts in this state, or these are too many registers at once; its manual has the limits"
         }
         (4, _) => {
             "the drive could not carry it out: look at its display for a fault, its state, a parameter lock or local control"
         }
-        (5, _) => "it may still be carried out: read the registers before anything is written again",
-        (6, _) => "nothing was carried out: start the command again when the drive has finished what it does",
-        (8, _) => "a check of the drive's memory failed: switch it off and on; if it comes again, the drive needs service",
+        (5, _) => {
+            "it may still be carried out: read the registers before anything is written again"
+        }
+        (6, _) => {
+            "nothing was carried out: start the command again when the drive has finished what it does"
+        }
+        (8, _) => {
+            "a check of the drive's memory failed: switch it off and on; if it comes again, the drive needs service"
+        }
         (10, _) => "check the unit number, and the gateway's table of units and serial ports",
         (11, _) => {
             "the gateway answers and its device does not: check the device's power and wiring, the unit number, and time-out, baud rate and parity in the gateway"
@@ -145,7 +155,8 @@ mod tests {
             assert!(error.help().contains(help), "{context}");
         }
         // Only an unknown register blames the register map of a profile; the stream has codes of its own.
-        for (code, blames) in [(1, false), (2, true), (3, false), (4, false), (5, false), (6, false)]
+        for (code, blames) in
+            [(1, false), (2, true), (3, false), (4, false), (5, false), (6, false)]
         {
             let help = exception(code, 3, 1, true).help();
             assert_eq!(help.contains("does not have; `drivebench probe"), blames, "{code}: {help}");

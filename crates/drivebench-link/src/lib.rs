@@ -9,6 +9,7 @@
 //!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
 //!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
+//!                  +-- unexpected.rs (what came instead, and the way on)
 //!                  +-- link_core.rs (statistics, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
 //!                  +-- virtual_line.rs (a line in memory: the same bytes without the waiting)
 //!                  +-- tap.rs (capture file), serial_ports.rs (what is plugged in)
@@ -54,6 +55,7 @@ mod tap;
 pub mod timeline;
 mod timing;
 mod transaction;
+mod unexpected;
 pub mod virtual_line;
 mod waiting;
 
@@ -86,4 +88,5 @@ pub use tap::TapFile;
 pub use timeline::signed_difference;
 pub use timing::standard_gap_s;
 pub use transaction::{LineCounts, StopRequest};
+pub use unexpected::Unexpected;
 pub use virtual_line::VirtualClock;

@@ -9,6 +9,7 @@ use super::command_times::CommandTimes;
 pub use super::link_error::LinkError;
 pub(crate) use super::link_error::Result;
 use super::transaction::{LineCounts, StopRequest};
+use super::unexpected::Unexpected;
 use drivebench_model::sample::{Command, Demand, Sample};
 
 /// Identity of a drive, as it reports it.
@@ -100,11 +101,20 @@ impl LinkStatistics {
         self.sent += 1;
         *match result {
             Ok(_) => &mut self.ok,
-            Err(LinkError::Timeout { .. }) => &mut self.timeout,
-            Err(LinkError::Corrupt { .. }) => &mut self.crc,
+            Err(
+                LinkError::Timeout { .. } | LinkError::Unexpected { what: Unexpected::Echo, .. },
+            ) => &mut self.timeout,
+            Err(
+                LinkError::Corrupt { .. }
+                | LinkError::Unexpected {
+                    what: Unexpected::Ascii | Unexpected::Incomplete { .. },
+                    ..
+                },
+            ) => &mut self.crc,
             Err(LinkError::Stale { .. } | LinkError::Unproven { .. }) => &mut self.stale,
             Err(
                 LinkError::Mismatch { .. }
+                | LinkError::Unexpected { .. }
                 | LinkError::Version { .. }
                 | LinkError::Identity { .. }
                 | LinkError::Refused { .. }

@@ -3,6 +3,7 @@
 use thiserror::Error;
 
 use super::exceptions::{self, Requested};
+use super::unexpected::Unexpected;
 
 /// Error of an exchange. Transient classes cost one cycle; `Gone` ends the session. A pair is link and reason.
 #[derive(Clone, Debug, Error)]
@@ -26,6 +27,9 @@ pub enum LinkError {
         exceptions::sentence(*code, *requested, request)
     )]
     Exception { link: String, request: String, code: u8, name: &'static str, requested: Requested },
+    /// Something else than the reply came.
+    #[error("{}: {}", whom(link), what.sentence(request))]
+    Unexpected { link: String, request: String, what: Unexpected },
     #[error("{}: the link is gone: {}", whom(.0), .1)]
     Gone(String, String),
     #[error(
@@ -54,23 +58,37 @@ fn whom(link: &str) -> &str {
     link.trim_end_matches(':')
 }
 
+fn is_network(link: &str) -> bool {
+    link.starts_with("tcp:")
+}
+
 impl LinkError {
     /// The next step for the person at the bench.
-    pub const fn help(&self) -> &'static str {
+    pub fn help(&self) -> &'static str {
         match self {
-            Self::Open(link, _) if matches!(link.as_bytes(), [b't', b'c', b'p', b':', ..]) => {
+            Self::Open(link, _) if is_network(link) => {
                 "check address and port, and that the unit is on; some units take one connection at a time"
             }
             Self::Open { .. } => {
                 "`drivebench ports` lists what is plugged in; no other program may hold the port"
             }
+            Self::Timeout { link, .. } if is_network(link) => {
+                "is the drive powered, and the unit number right? A transparent serial converter carries RTU frames: --rtu-over-tcp (link.protocol = \"modbus-rtu-over-tcp\" in a bench file)"
+            }
             Self::Timeout { .. } => {
                 "is the drive powered, and wired? `drivebench doctor --port PORT --scan` finds baud rate, parity and unit"
+            }
+            Self::Corrupt(link, _) if is_network(link) => {
+                "a gateway or converter damages the frames: check baud rate, parity and time-outs of its serial side"
             }
             Self::Corrupt { .. } => {
                 "check baud rate and parity (`drivebench doctor --port PORT --scan` finds them), termination and shielding"
             }
-            Self::Stale { .. } | Self::Unproven { .. } => {
+            Self::Unproven { .. } => {
+                "the link's earlier errors name the cause: a silent drive (power, cable), late replies (link.reply_ms, link.deadline_ms), or damaged frames (termination, shielding)"
+            }
+            Self::Unexpected { link, what, .. } => what.help(is_network(link)),
+            Self::Stale { .. } => {
                 "the drive or an adapter answers late: allow it more (link.reply_ms, link.deadline_ms), set the adapter's latency timer to 1 ms"
             }
             Self::Mismatch { .. } => {
@@ -94,13 +112,14 @@ impl LinkError {
 
     /// Whether the next cycle may simply try again.
     pub const fn is_transient(&self) -> bool {
-        matches!(
-            self,
-            Self::Timeout { .. }
-                | Self::Corrupt { .. }
-                | Self::Stale { .. }
-                | Self::Mismatch { .. }
-                | Self::Unproven { .. }
-        )
+        matches!(self, Self::Unexpected { what, .. } if !matches!(what, Unexpected::RtuFrames))
+            || matches!(
+                self,
+                Self::Timeout { .. }
+                    | Self::Corrupt { .. }
+                    | Self::Stale { .. }
+                    | Self::Mismatch { .. }
+                    | Self::Unproven { .. }
+            )
     }
 }

@@ -38,12 +38,14 @@ use super::reply_filter::{Port, ReplyFilter};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
 use super::transaction::{LineCounts, StopRequest, never_silent, out_of_step};
+use super::unexpected::Unexpected;
 use super::waiting::{Waiting, now};
 use drivebench_model::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
 pub use raw::{
-    Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written, read_batch,
+    Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written,
+    read_batch,
 };
 
 /// Frames of the device identification, bytes: its request, and the longest reply.
@@ -432,7 +434,7 @@ impl ModbusLink {
                 ..
             }))) => Err(self.refusal(what, requested, refused.exception.into())),
             Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
-            Some(Err(Error::Transport(error))) => Err(self.broken(&error)),
+            Some(Err(Error::Transport(error))) => Err(self.broken(&error, what)),
             // No reply in time: what came instead tells the class.
             None => {
                 let left = self.filter.inner().reception.leftover();
@@ -477,7 +479,12 @@ impl ModbusLink {
         self.core.gone(error)
     }
 
-    fn broken(&mut self, error: &std::io::Error) -> LinkError {
+    fn broken(&mut self, error: &std::io::Error, request: &str) -> LinkError {
+        if self.filter.inner().reception.is_rtu_over_tcp() {
+            self.close();
+            let (link, request) = (self.core.name.clone(), request.to_owned());
+            return LinkError::Unexpected { link, request, what: Unexpected::RtuFrames };
+        }
         if error.kind() == std::io::ErrorKind::InvalidData {
             LinkError::Corrupt(self.core.name.clone(), error.to_string())
         } else {
@@ -620,6 +627,7 @@ fn unprobed(name: &str, last: Option<LinkError>) -> LinkError {
         Some(
             error @ (LinkError::Timeout { .. }
             | LinkError::Exception { .. }
+            | LinkError::Unexpected { .. }
             | LinkError::Corrupt { .. }),
         ) => error,
         _ => out_of_step(name),

@@ -9,6 +9,8 @@ use firmware_protocol::modbus::{
     Length, expected_response_len, request_len, response_len, rtu, tcp,
 };
 
+use super::unexpected::Unexpected;
+
 /// How frames are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameKind {
@@ -23,8 +25,8 @@ pub(super) struct Expected {
     pub(super) request: Vec<u8>,
     /// Bytes that the reply must echo as well: the number of its own command.
     pub(super) echo: Option<Echo>,
-    /// Requests before it: what answers one of these is an old reply and not a stranger's.
-    pub(super) earlier: VecDeque<Vec<u8>>,
+    /// Requests before it, and whether they were answered: what answers one of these is an old reply and not a stranger's.
+    pub(super) earlier: VecDeque<(Vec<u8>, bool)>,
     /// This line is known to return requests.
     pub(super) echoes: bool,
 }
@@ -40,8 +42,8 @@ pub(super) struct Echo {
 const EARLIER: usize = 8;
 
 impl Expected {
-    /// The outstanding request is over, answered or not.
-    pub(super) fn retire(&mut self) {
+    /// The outstanding request is over.
+    pub(super) fn retire(&mut self, is_answered: bool) {
         self.echo = None;
         if self.request.is_empty() {
             return;
@@ -49,7 +51,7 @@ impl Expected {
         if self.earlier.len() == EARLIER {
             self.earlier.pop_front();
         }
-        self.earlier.push_back(std::mem::take(&mut self.request));
+        self.earlier.push_back((std::mem::take(&mut self.request), is_answered));
     }
 
     fn is_met_by(&self, pdu: &[u8], response: &[u8]) -> bool {
@@ -105,6 +107,26 @@ pub(super) struct Search {
     pub(super) foreign_writes: usize,
     /// The line returned the request itself before the reply.
     pub(super) echo: bool,
+    /// How the frames differ from the reply; the most particular of them.
+    pub(super) unexpected: Option<Unexpected>,
+}
+
+impl Search {
+    fn differs(&mut self, how: Unexpected) {
+        if self.unexpected.is_none_or(|known| known == Unexpected::Frame) {
+            self.unexpected = Some(how);
+        }
+    }
+
+    fn foreign(&mut self, how: Unexpected) {
+        self.foreign += 1;
+        self.differs(how);
+    }
+}
+
+/// Whether bytes that are no frame of Modbus TCP begin with one of RTU.
+pub(super) fn begins_with_rtu(received: &[u8]) -> bool {
+    rtu_frame_len(received, response_len).is_some()
 }
 
 /// The peer does not use Modbus TCP: frames can no longer be separated.
@@ -128,7 +150,7 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     let request = &expected.request;
     let (unit, pdu) = unit_and_pdu(request).unwrap_or_default();
     let request_sent = match expected.earlier.back() {
-        Some(last) if request.is_empty() => last,
+        Some((last, _)) if request.is_empty() => last,
         _ => request,
     };
     // The reply to these equals the request: without knowing the line a copy cannot be called an echo.
@@ -149,7 +171,7 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             let request = rtu_frame_len(tail, request_len);
             let own = !request_sent.is_empty() && tail.starts_with(request_sent);
             if request.is_some() && !own {
-                found.foreign += 1;
+                found.foreign(Unexpected::Frame);
                 found.foreign_writes += usize::from(writes_to(request_sent, tail));
             }
             at += request.unwrap_or(1);
@@ -170,10 +192,13 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
             unit_and_pdu(request)
                 .is_some_and(|(unit, pdu)| tail[0] == unit && answers(pdu, response))
         };
-        if is_old(request) || expected.earlier.iter().any(is_old) {
+        if is_old(request) || expected.earlier.iter().any(|(request, _)| is_old(request)) {
             found.old.extend(Code::of(FrameKind::Rtu, &tail[..length]));
         } else {
-            found.foreign += 1;
+            found.foreign(match tail[0] {
+                other if other != unit => Unexpected::Unit(other),
+                _ => difference(pdu, response),
+            });
             // The drive's own answer to such a request, with a length that does not fit, is no other master's.
             let is_misfit = pdu.first() == Some(&23) && response.first() == Some(&23);
             found.foreign_writes += usize::from(!is_misfit && writes_to(request_sent, tail));
@@ -186,6 +211,18 @@ fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
 /// Whether this frame, which is not ours, writes to the unit of a request, or acknowledges such a write.
 fn writes_to(request: &[u8], frame: &[u8]) -> bool {
     matches!(frame, [unit, 5 | 6 | 15 | 16 | 22 | 23, ..] if request.first() == Some(unit))
+}
+
+/// How a response of the right unit differs from that to a request.
+fn difference(request: &[u8], response: &[u8]) -> Unexpected {
+    match (request.first(), response, expected_response_len(request)) {
+        (Some(requested @ (3 | 4 | 23)), [answered, data @ ..], Some(length))
+            if requested == answered && response.len() != length =>
+        {
+            Unexpected::Length { found: data.len().saturating_sub(1), expected: length - 2 }
+        }
+        _ => Unexpected::Frame,
+    }
 }
 
 fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
@@ -239,17 +276,32 @@ fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeabl
         let Some(frame) = tail.get(..length + 6) else {
             break;
         };
-        let same_transaction = request.get(..2) == frame.get(..2) && request.get(6) == frame.get(6);
-        if same_transaction && expected.is_met_by(pdu, &frame[tcp::HEADER..]) {
+        let response = &frame[tcp::HEADER..];
+        let is_of = |request: &[u8]| request.get(..2) == frame.get(..2);
+        let is_unit = request.get(6) == frame.get(6);
+        if is_of(request) && is_unit && expected.is_met_by(pdu, response) {
             found.reply = Some((at, at + length + 6));
             return Ok(found);
         }
+        let number = |frame: &[u8]| frame.first_chunk().map_or(0, |two| u16::from_be_bytes(*two));
+        let other_number =
+            || Unexpected::Transaction { found: number(frame), expected: number(request) };
         // The transaction number identifies the request.
-        let is_old = |request: &Vec<u8>| request.get(..2) == frame.get(..2);
-        if is_old(request) || expected.earlier.iter().any(is_old) {
+        let old = expected.earlier.iter().find(|(request, _)| is_of(request));
+        if let Some((_, was_answered)) = old {
             found.old.extend(Code::of(FrameKind::Tcp, frame));
+            // No late reply: a server with a number of its own.
+            if *was_answered && answers(pdu, response) {
+                found.differs(other_number());
+            }
+        } else if is_of(request) && is_unit && answers(pdu, response) {
+            found.old.extend(Code::of(FrameKind::Tcp, frame));
+        } else if !is_of(request) && answers(pdu, response) {
+            found.foreign(other_number());
+        } else if !is_unit && !request.is_empty() {
+            found.foreign(Unexpected::Unit(frame[6]));
         } else {
-            found.foreign += 1;
+            found.foreign(difference(pdu, response));
         }
         at += length + 6;
     }
@@ -275,7 +327,7 @@ mod tests {
     fn a_foreign_write_to_our_unit_is_another_master() {
         let own = frame(1, &[6, 0, 201, 2, 38]);
         let mut expected = expecting(&frame(1, &[3, 0, 100, 0, 1]), false);
-        expected.earlier.push_back(own.clone());
+        expected.earlier.push_back((own.clone(), true));
         let many = frame(1, &[16, 0, 201, 0, 1, 2, 0, 0]);
         let acknowledged = frame(1, &[16, 0, 201, 0, 1]);
         for (what, bytes, writes) in [
@@ -318,13 +370,13 @@ mod tests {
             assert_eq!(look(&expected, &bytes), found, "{bytes:?}");
         }
         // After it is over its answer, and that of the one before, are old; another function is foreign.
-        expected.retire();
+        expected.retire(true);
         expected.request = frame(1, &[8, 0, 0, 1, 2]);
         assert_eq!(look(&expected, &reply(7)), (None, 1, 0));
         assert_eq!(look(&expected, &frame(1, &[4, 2, 0, 0])), (None, 0, 1));
         for _ in 0..100 {
             expected.request = request.clone();
-            expected.retire();
+            expected.retire(true);
         }
         assert_eq!(expected.earlier.len(), EARLIER);
     }

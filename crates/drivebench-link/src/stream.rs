@@ -19,6 +19,7 @@ use super::port::{Closed, TimedPort};
 use super::timeline::{identity, signed_difference};
 use super::timing::LineTiming;
 use super::transaction::{Leftover, LineCounts};
+use super::unexpected::Unexpected;
 use super::waiting::now;
 use drivebench_model::sample::{Command, Sample};
 
@@ -55,7 +56,7 @@ impl Wreckage {
     /// The class that it makes of a missing answer.
     const fn leftover(&self) -> Leftover {
         match *self {
-            Self { foreign: 1.., .. } => Leftover::Foreign,
+            Self { foreign: 1.., .. } => Leftover::Unexpected(Unexpected::Frame),
             Self { stale: 1.., .. } => Leftover::Stale,
             Self { bytes: 0, .. } => Leftover::Nothing,
             Self { bytes, .. } => Leftover::Damaged(bytes),

@@ -19,7 +19,8 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 
 use super::link_error::LinkError;
-use super::reply::{Code, Expected, FrameKind, Search, search};
+use super::reply::{Code, Expected, FrameKind, Search, begins_with_rtu, search};
+use super::unexpected::Unexpected;
 
 /// Request to stop: one of its flags was raised since the last [`StopRequest::lower`].
 ///
@@ -124,8 +125,8 @@ pub(super) enum Leftover {
     Nothing,
     /// Complete frames that answer earlier requests.
     Stale,
-    /// Complete frames that answer no request of ours.
-    Foreign,
+    /// Complete frames that answer no request of ours, or something else that has a name.
+    Unexpected(Unexpected),
     /// This many bytes that make no frame.
     Damaged(usize),
 }
@@ -148,9 +149,7 @@ impl Leftover {
             Self::Stale => {
                 LinkError::Stale(link, format!("only late answers came after {request}"))
             }
-            Self::Foreign => {
-                LinkError::Mismatch(link, format!("only frames that do not answer {request} came"))
-            }
+            Self::Unexpected(what) => LinkError::Unexpected { link, request, what },
             Self::Damaged(bytes) => LinkError::Corrupt(
                 link,
                 format!("{bytes} bytes without a valid frame came in reply to {request}"),
@@ -223,7 +222,7 @@ impl Reception {
         let was_wrong = self.anomaly;
         self.drop_received(false);
         self.anomaly = was_wrong;
-        self.expected.retire();
+        self.expected.retire(!self.reply.is_empty());
         self.reply.clear();
         self.asked = None;
         self.answered = None;
@@ -336,16 +335,44 @@ impl Reception {
     }
 
     /// Judges what came instead of a reply.
-    pub(super) fn leftover(&self) -> Leftover {
+    pub(super) fn leftover(&mut self) -> Leftover {
         let (request, received) = (&self.expected.request, &self.received);
-        let search = search(self.kind, &self.expected, received).unwrap_or_default();
-        match (received.len(), search.foreign, search.old.len()) {
-            (0, ..) => Leftover::Nothing,
-            (bytes, ..) if bytes == request.len() && received == request => Leftover::Nothing,
-            (bytes, 0, 0) => Leftover::Damaged(bytes),
-            (_, 0, _) => Leftover::Stale,
-            _ => Leftover::Foreign,
+        let Ok(search) = search(self.kind, &self.expected, received) else {
+            return Leftover::Unexpected(Unexpected::Frame);
+        };
+        if !received.is_empty() && received == request {
+            // What is no copy of its reply shows that the line returns requests; a copy alone is no reply from now on.
+            if !matches!(request.get(1), Some(5 | 6 | 8)) && self.kind == FrameKind::Rtu {
+                (self.expected.echoes, self.line.echoes) = (true, true);
+            }
+            return Leftover::Unexpected(Unexpected::Echo);
         }
+        match (received.len(), search.unexpected, search.old.len()) {
+            (0, ..) => Leftover::Nothing,
+            (_, Some(what), _) => Leftover::Unexpected(what),
+            (bytes, None, 0) => self.damaged(bytes),
+            (_, None, _) => Leftover::Stale,
+        }
+    }
+
+    /// Bytes without a whole frame.
+    fn damaged(&self, bytes: usize) -> Leftover {
+        let is_text = |byte: &u8| byte.is_ascii_hexdigit() || matches!(byte, b':' | b'\r' | b'\n');
+        match (self.kind, self.received.as_slice()) {
+            (FrameKind::Tcp, [_, _, 0, 0, high, low, ..]) => {
+                let announced = 6 + usize::from(u16::from_be_bytes([*high, *low]));
+                Leftover::Unexpected(Unexpected::Incomplete { announced, came: bytes })
+            }
+            (FrameKind::Rtu, text @ [b':', .., b'\n']) if text.iter().all(is_text) => {
+                Leftover::Unexpected(Unexpected::Ascii)
+            }
+            _ => Leftover::Damaged(bytes),
+        }
+    }
+
+    /// Whether the peer of a connection of Modbus TCP sent frames of RTU.
+    pub(super) fn is_rtu_over_tcp(&self) -> bool {
+        self.kind == FrameKind::Tcp && begins_with_rtu(&self.received)
     }
 }
 
@@ -357,10 +384,11 @@ pub(super) fn never_silent(link: &str) -> LinkError {
 }
 
 pub(super) fn out_of_step(link: &str) -> LinkError {
-    LinkError::Corrupt(
-        link.to_owned(),
-        "the line is out of step: no probe came back without older replies".to_owned(),
-    )
+    LinkError::Unexpected {
+        link: link.to_owned(),
+        request: "the probe".to_owned(),
+        what: Unexpected::OutOfStep,
+    }
 }
 
 #[cfg(test)]
@@ -394,5 +422,89 @@ mod tests {
         bound.set(f64::INFINITY, now);
         let late = now + Duration::from_secs(3600);
         assert!(!bound.is_set() && !bound.is_over(late) && !bound.ends_before(late));
+    }
+
+    /// What is left when no reply has come: each with its own name.
+    #[test]
+    fn what_came_instead_of_a_reply_is_named() {
+        use Unexpected::{Ascii, Echo, Frame, Incomplete, Length, Transaction, Unit};
+        let rtu = |unit, pdu: &[u8]| crate::scripted::frame(unit, pdu);
+        let tcp = |transaction, unit, pdu: &[u8]| {
+            firmware_protocol::modbus::tcp::encode_frame(transaction, unit, pdu).to_vec()
+        };
+        let (read, reply) = ([3, 0, 10, 0, 2], [3, 4, 0, 10, 0, 11]);
+        let wide = [3, 8, 0, 0, 0, 10, 0, 0, 0, 11];
+        let mut cut_off = tcp(7, 1, &reply);
+        cut_off[5] += 1;
+        let (on_rtu, on_tcp) = (FrameKind::Rtu, FrameKind::Tcp);
+        for (name, kind, received, expected) in [
+            ("nothing", on_rtu, vec![], Leftover::Nothing),
+            ("another unit", on_rtu, rtu(9, &reply), Leftover::Unexpected(Unit(9))),
+            ("unit 0", on_rtu, rtu(0, &reply), Leftover::Unexpected(Unit(0))),
+            (
+                "registers of 32 bits",
+                on_rtu,
+                rtu(1, &wide),
+                named(Length { found: 8, expected: 4 }),
+            ),
+            ("one less", on_rtu, rtu(1, &[3, 2, 0, 10]), named(Length { found: 2, expected: 4 })),
+            ("another function", on_rtu, rtu(1, &[4, 4, 0, 10, 0, 11]), named(Frame)),
+            ("our own bytes", on_rtu, rtu(1, &read), named(Echo)),
+            ("ascii", on_rtu, b":010302000AF0\r\n".to_vec(), named(Ascii)),
+            ("garbage", on_rtu, vec![1, 2, 3], Leftover::Damaged(3)),
+            ("an earlier request's", on_rtu, rtu(1, &[3, 6, 0, 1, 0, 2, 0, 3]), Leftover::Stale),
+            (
+                "another number",
+                on_tcp,
+                tcp(8, 1, &reply),
+                named(Transaction { found: 8, expected: 7 }),
+            ),
+            (
+                "the number of an answered request",
+                on_tcp,
+                tcp(6, 1, &reply),
+                named(Transaction { found: 6, expected: 7 }),
+            ),
+            ("the number of a lost request", on_tcp, tcp(5, 1, &reply), Leftover::Stale),
+            ("another unit", on_tcp, tcp(7, 255, &reply), Leftover::Unexpected(Unit(255))),
+            ("another length", on_tcp, tcp(7, 1, &wide), named(Length { found: 8, expected: 4 })),
+            ("cut off", on_tcp, cut_off, named(Incomplete { announced: 14, came: 13 })),
+        ] {
+            let now = now();
+            let mut reception = Reception::new(kind, now);
+            let request = |transaction, pdu: &[u8]| match kind {
+                FrameKind::Rtu => rtu(1, pdu),
+                FrameKind::Tcp => tcp(transaction, 1, pdu),
+            };
+            let earlier = [(request(5, &[3, 0, 0, 0, 3]), false), (request(6, &read), true)];
+            reception.expected.earlier.extend(earlier);
+            reception.expected.request = request(7, &read);
+            reception.push(&received, now);
+            assert!(matches!(reception.accept(), Ok(false)), "{name}: it is no reply");
+            assert_eq!(reception.leftover(), expected, "{name}");
+        }
+    }
+
+    /// On a line that returns requests the copy of a write is no acknowledgement.
+    #[test]
+    fn an_echo_alone_makes_later_copies_echoes() {
+        let now = now();
+        let mut reception = Reception::new(FrameKind::Rtu, now);
+        let write = crate::scripted::frame(1, &[6, 0, 1, 0, 0]);
+        for (request, copies, is_reply) in [
+            (crate::scripted::frame(1, &[3, 0, 0, 0, 1]), 1, false),
+            (write.clone(), 1, false),
+            (write, 2, true),
+        ] {
+            reception.expected.request.clone_from(&request);
+            reception.push(&request.repeat(copies), now);
+            assert_eq!(reception.accept().unwrap(), is_reply, "{request:?}");
+            reception.leftover();
+            reception.retire();
+        }
+    }
+
+    const fn named(what: Unexpected) -> Leftover {
+        Leftover::Unexpected(what)
     }
 }

@@ -80,6 +80,8 @@ impl ModbusBus {
     ) -> Result<RegistersRead> {
         let what = question.what;
         let sent = now();
+        let stale_frames = |bus: &Self| bus.link.filter.inner().reception.line.stale_frames;
+        let before = stale_frames(self);
         let usual = self.longest(|(took, _)| *took);
         if self.link.core.bound.ends_before(sent + usual) {
             // Its reply would arrive outside an exchange and put the line in doubt.
@@ -99,8 +101,12 @@ impl ModbusBus {
             self.link.listen()?;
         }
         if self.link.proof.is_doubtful() {
-            let reason = format!("something else came with the reply to {what}");
-            return Err(LinkError::Stale(self.link.core.name.clone(), reason));
+            let name = self.link.core.name.clone();
+            return Err(if stale_frames(self) > before {
+                LinkError::Stale(name, format!("another reply came with that to {what}"))
+            } else {
+                LinkError::Corrupt(name, format!("other bytes came with the reply to {what}"))
+            });
         }
         Ok(answer)
     }

@@ -411,7 +411,9 @@ fn a_busy_unit_is_read_again_for_a_bounded_time() {
             count += 1;
             let pdu = &request[1..request.len() - 2];
             let reply = match pdu[0] {
-                3 if count > busy => [&[3, 2 * pdu[4]], &vec![0; 2 * usize::from(pdu[4])][..]].concat(),
+                3 if count > busy => {
+                    [&[3, 2 * pdu[4]], &vec![0; 2 * usize::from(pdu[4])][..]].concat()
+                }
                 3 => vec![0x83, 6],
                 _ => pdu.to_vec(),
             };

@@ -68,8 +68,7 @@ impl RawClient {
             wait_until(now() + Duration::from_millis(50));
             after = self.read_back(address, count);
         }
-        let accepted_s =
-            is_accepted.then(|| now().saturating_duration_since(began).as_secs_f64());
+        let accepted_s = is_accepted.then(|| now().saturating_duration_since(began).as_secs_f64());
         let outcome = outcome(&acknowledged, &after, values);
         Written { acknowledged, after, outcome, accepted_s }
     }
