@@ -50,7 +50,7 @@ struct Exchange {
 #[derive(Debug)]
 pub(super) struct LineWatch {
     rate_hz: f64,
-    alarms: [Alarm; 4],
+    alarms: [Alarm; 5],
     window: VecDeque<Exchange>,
     since_s: Option<f64>,
     /// The rate reported as lost, Hz.
@@ -90,6 +90,12 @@ impl LineWatch {
                     "on the line write to this drive and are not of this host: another master commands it",
                     "writes of another master",
                 ),
+                alarm(
+                    ["stray_replies", "stray_replies_end"],
+                    3,
+                    "came with stray bytes around a whole reply (dropped): bias or termination of the line, or the turnaround of the adapter",
+                    "replies with stray bytes",
+                ),
             ],
             window: VecDeque::new(),
             since_s: None,
@@ -99,8 +105,13 @@ impl LineWatch {
 
     /// Frames that the line has carried up to now.
     pub(super) fn frames(&mut self, now_s: f64, line: LineCounts) -> Vec<LineReport> {
-        let counts =
-            [line.stale_frames, line.foreign_frames, line.unasked_frames, line.foreign_writes];
+        let counts = [
+            line.stale_frames,
+            line.foreign_frames,
+            line.unasked_frames,
+            line.foreign_writes,
+            line.stray_replies,
+        ];
         let alarms = self.alarms.iter_mut().zip(counts);
         alarms.filter_map(|(alarm, count)| alarm.update(now_s, count)).collect()
     }

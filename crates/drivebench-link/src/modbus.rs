@@ -300,10 +300,37 @@ impl ModbusLink {
     /// Waits for the gap before a request; bytes received meanwhile answer nothing.
     fn listen(&mut self) -> Result<()> {
         self.core.live()?;
+        let strays = self.after_gap();
+        self.judge(strays)?;
+        self.drop_rest()
+    }
+
+    fn drop_rest(&mut self) -> Result<()> {
+        let rest = self.filter.inner().reception.drop_rest();
+        self.judge(Ok(rest)).map(drop)
+    }
+
+    fn after_gap(&mut self) -> std::io::Result<usize> {
         let last = self.filter.inner().reception.last_activity;
         wait_until(last + self.core.timing.gap());
-        let strays = self.waiting.at_once(self.filter.begin());
-        self.judge(strays.unwrap_or(Ok(0))).map(drop)
+        self.waiting.at_once(self.filter.begin()).unwrap_or(Ok(0))
+    }
+
+    /// The same, and waits for the end of a copy of the last reply that is still coming.
+    fn listen_out(&mut self) -> Result<()> {
+        self.core.live()?;
+        let until = now() + self.core.timing.quiet();
+        loop {
+            let strays = self.after_gap();
+            self.judge(strays)?;
+            let is_over = now() >= until || self.core.bound.is_over(now());
+            if is_over || !self.filter.inner().reception.is_copying() {
+                return self.drop_rest();
+            }
+            let step = self.core.timing.gap().max(Duration::from_millis(1));
+            let came = self.waiting.until(now() + step, self.filter.listen());
+            self.judge(came.unwrap_or(Ok(0)))?;
+        }
     }
 
     /// Handles bytes received while no request was outstanding.
@@ -367,7 +394,7 @@ impl ModbusLink {
                         // How it ended is known to the proof.
                         probed => {
                             failed = probed.err();
-                            self.listen()?;
+                            self.listen_out()?;
                         }
                     }
                 }

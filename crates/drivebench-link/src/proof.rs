@@ -431,7 +431,9 @@ impl Proof {
         numbered: bool,
         now: Instant,
     ) {
-        let strays = reception.take_anomaly();
+        // By trial there is no profile by which a reply comes once.
+        let repeated = reception.take_repeated() && matches!(self.policy, Policy::Trial(_));
+        let strays = reception.take_anomaly() || repeated;
         self.ended(end, &reception.take_old_replies(), strays, numbered, now);
     }
 

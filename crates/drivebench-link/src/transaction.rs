@@ -115,9 +115,14 @@ pub struct LineCounts {
     pub retries: u64,
     /// Time spent in silences and probes that kept old replies away, ms.
     pub resync_ms: u64,
+    /// Whole replies with a few bytes directly before or behind them that belong to no frame (bias, termination, turnaround).
+    pub stray_replies: u64,
     /// The line returns our own requests (two-wire RS-485 without echo suppression).
     pub echoes: bool,
 }
+
+/// Stray bytes beside a reply that are no loss of synchronisation: fewer than any frame has.
+const MOST_STRAYS: usize = 4;
 
 /// Content of the line at the deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -179,6 +184,14 @@ pub(super) struct Reception {
     pub(super) answered: Option<Instant>,
     pub(super) last_activity: Instant,
     pub(super) line: LineCounts,
+    /// The reply before, while nothing has gone out since: a copy of it answers nothing.
+    last_reply: Vec<u8>,
+    /// Since the last request: stray bytes behind its reply, whether it had any, and whether its reply came twice.
+    strays_behind: usize,
+    has_strays: bool,
+    is_repeated: bool,
+    /// A reply came twice since the last look.
+    repeated: bool,
     /// What was wrong since the last look.
     anomaly: bool,
     /// Old replies since the last look, in order.
@@ -197,6 +210,11 @@ impl Reception {
             answered: None,
             last_activity: now,
             line: LineCounts::default(),
+            last_reply: Vec::new(),
+            strays_behind: 0,
+            has_strays: false,
+            is_repeated: false,
+            repeated: false,
             anomaly: false,
             old_replies: Vec::new(),
         }
@@ -205,6 +223,9 @@ impl Reception {
     /// So many bytes of the request have gone out.
     pub(super) fn sent(&mut self, count: usize, at: Instant) {
         self.line.bytes_sent += count as u64;
+        if self.asked.is_none() {
+            (self.strays_behind, self.has_strays, self.is_repeated) = (0, false, false);
+        }
         self.asked.get_or_insert(at);
         self.last_activity = at;
     }
@@ -218,19 +239,81 @@ impl Reception {
 
     /// Ends the exchange: what is left of it answers nothing any more.
     pub(super) fn retire(&mut self) {
+        let is_answered = !self.reply.is_empty();
+        if !self.expected.request.is_empty() {
+            std::mem::swap(&mut self.last_reply, &mut self.reply);
+        }
         // Anomalies of an exchange are judged at its end.
         let was_wrong = self.anomaly;
-        self.drop_received(false);
+        if !self.is_copying() {
+            self.drop_received(false);
+        }
         self.anomaly = was_wrong;
-        self.expected.retire(!self.reply.is_empty());
+        self.expected.retire(is_answered);
         self.reply.clear();
         self.asked = None;
         self.answered = None;
     }
 
-    /// Drops what came while nothing was outstanding; returns how many bytes that were.
+    /// Drops what came while nothing was outstanding; returns how many bytes of that disturb. A copy of the last reply that is still
+    /// coming is kept.
     pub(super) fn drop_strays(&mut self) -> usize {
-        self.drop_received(true)
+        if self.is_copying() { 0 } else { self.drop_rest() }
+    }
+
+    /// The same with a copy that has not come to its end.
+    pub(super) fn drop_rest(&mut self) -> usize {
+        let received = std::mem::take(&mut self.received);
+        let last = std::mem::take(&mut self.last_reply);
+        let is_harmless = self.is_beside(&last, &received);
+        (self.received, self.last_reply) = (received, last);
+        if !is_harmless {
+            return self.drop_received(true);
+        }
+        self.line.bytes_dropped += self.received.len() as u64;
+        self.received.clear();
+        self.pieces.clear();
+        0
+    }
+
+    /// Whether what came behind the last reply is the beginning of a copy of it.
+    pub(super) fn is_copying(&self) -> bool {
+        let copy = &self.received;
+        let is_part = !copy.is_empty() && copy.len() < self.last_reply.len();
+        self.kind == FrameKind::Rtu && is_part && self.last_reply.starts_with(copy)
+    }
+
+    /// Whether bytes behind a reply are no loss of synchronisation, and counts them then: one copy of it, whose contents are those of
+    /// the reply whichever of both is the older; or a few bytes none of which can begin another reply of the unit.
+    fn is_beside(&mut self, reply: &[u8], behind: &[u8]) -> bool {
+        let Some(unit) = reply.first().filter(|_| self.kind == FrameKind::Rtu) else {
+            return false;
+        };
+        let rest = behind.strip_prefix(reply).filter(|_| !self.is_repeated);
+        let strays = rest.unwrap_or(behind);
+        if self.strays_behind + strays.len() > MOST_STRAYS || strays.contains(unit) {
+            return false;
+        }
+        if rest.is_some() {
+            (self.is_repeated, self.repeated) = (true, true);
+            // A reply that is a copy of its request may have been the echo: from now on one copy alone is no reply.
+            self.expected.echoes |= matches!(reply.get(1), Some(5 | 6 | 8));
+            self.line.stale_frames += 1;
+        }
+        self.strays_behind += strays.len();
+        self.has_strays_beside(strays.len());
+        true
+    }
+
+    fn has_strays_beside(&mut self, count: usize) {
+        if count > 0 && !std::mem::replace(&mut self.has_strays, true) {
+            self.line.stray_replies += 1;
+        }
+    }
+
+    /// Whether a reply came twice since the last call.
+    pub(super) fn take_repeated(&mut self) -> bool {
+        std::mem::take(&mut self.repeated)
     }
 
     fn drop_received(&mut self, unasked: bool) -> usize {
@@ -306,6 +389,7 @@ impl Reception {
             }
             self.line.echoes |= found.echo;
             self.line.bytes_accepted += (end - begin) as u64;
+            let is_alone = found.old.is_empty() && found.foreign == 0;
             self.book(found, false);
             let first = self.pieces.iter().find(|(piece, _)| *piece > begin);
             self.answered = first.map(|(_, at)| *at);
@@ -313,13 +397,17 @@ impl Reception {
             self.reply.extend_from_slice(&self.received[begin..end]);
             // What follows the reply answers nothing.
             let behind = self.received.split_off(end);
-            self.drop_bytes(begin - echo + behind.len());
+            let before = begin - echo;
             self.line.bytes_dropped += echo as u64;
             self.received.clear();
             self.pieces.clear();
-            if !behind.is_empty() {
-                self.count(&behind, true);
+            if self.kind == FrameKind::Rtu && is_alone && before <= MOST_STRAYS {
+                self.has_strays_beside(before);
+                self.line.bytes_dropped += before as u64;
+            } else {
+                self.drop_bytes(before);
             }
+            self.beside_reply(behind);
             return Ok(true);
         }
         if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
@@ -332,6 +420,27 @@ impl Reception {
             self.drop_bytes(excess);
         }
         Ok(false)
+    }
+
+    /// What came together with the reply, behind it.
+    fn beside_reply(&mut self, behind: Vec<u8>) {
+        if behind.is_empty() {
+            return;
+        }
+        let reply = std::mem::take(&mut self.reply);
+        let is_harmless = self.is_beside(&reply, &behind);
+        let is_part = self.kind == FrameKind::Rtu && reply.starts_with(&behind);
+        self.reply = reply;
+        if is_harmless {
+            self.line.bytes_dropped += behind.len() as u64;
+        } else if is_part {
+            // The copy is coming.
+            self.pieces.push((behind.len(), self.last_activity));
+            self.received = behind;
+        } else {
+            self.drop_bytes(behind.len());
+            self.count(&behind, true);
+        }
     }
 
     /// Judges what came instead of a reply.
@@ -501,6 +610,61 @@ mod tests {
             assert_eq!(reception.accept().unwrap(), is_reply, "{request:?}");
             reception.leftover();
             reception.retire();
+        }
+    }
+
+    /// Beside a whole reply: what is dropped as harmless, and what may belong to another reply. Behind it, it comes with the reply, in
+    /// two parts, or later.
+    #[test]
+    fn a_few_stray_bytes_and_a_copy_beside_a_reply_are_harmless() {
+        let frame = crate::scripted::frame;
+        let request = frame(1, &[3, 0, 10, 0, 2]);
+        let reply = frame(1, &[3, 4, 0, 10, 0, 11]);
+        let other = frame(1, &[3, 4, 0, 99, 0, 99]);
+        let copy_and_zero = [&reply[..], &[0]].concat();
+        for (name, before, behind, is_harmless, strays, copies) in [
+            ("nothing", &[][..], &[][..], true, 0, 0),
+            ("zero in front", &[0], &[], true, 1, 0),
+            ("end of a frame in front", &[1, 3, 4, 0], &[], true, 1, 0),
+            ("five bytes in front", &[0; 5], &[], false, 0, 0),
+            ("zeros behind", &[], &[0; 3], true, 1, 0),
+            ("both", &[0], &[0xFF, 0xFF], true, 1, 0),
+            ("five bytes behind", &[], &[0; 5], false, 0, 0),
+            ("may begin a reply of the unit", &[], &[1, 3], false, 0, 0),
+            ("in the middle too", &[], &[0xFF, 1, 3], false, 0, 0),
+            ("a copy", &[], &reply, true, 0, 1),
+            ("a copy and a zero", &[], &copy_and_zero, true, 1, 1),
+            ("two copies", &[], &reply.repeat(2), false, 0, 0),
+            ("another reply", &[], &other, false, 0, 0),
+            ("a part of a copy that does not end", &[], &reply[..6], false, 0, 0),
+        ] {
+            for split in [behind.len(), behind.len() / 2, 0] {
+                let now = now();
+                let mut reception = Reception::new(FrameKind::Rtu, now);
+                reception.sent(request.len(), now);
+                reception.expected.request.clone_from(&request);
+                let (with_it, later) = behind.split_at(split);
+                reception.push(&[before, &reply, with_it].concat(), now);
+                assert!(matches!(reception.accept(), Ok(true)), "{name}");
+                let mut disturbs = reception.take_anomaly();
+                reception.retire();
+                reception.push(later, now);
+                disturbs |= reception.drop_strays() > 0;
+                let is_part =
+                    !behind.is_empty() && behind.len() < reply.len() && reply.starts_with(behind);
+                let is_whole = split == behind.len() || split == 0;
+                assert!(!is_whole || reception.is_copying() == is_part, "{name}");
+                disturbs |= reception.drop_rest() > 0;
+                let context = format!("{name}, {split} bytes with it: {:?}", reception.line);
+                assert_eq!(disturbs, !is_harmless, "{context}");
+                if is_harmless {
+                    assert_eq!(reception.line.stray_replies, strays, "{context}");
+                    assert_eq!(reception.line.stale_frames, copies, "{context}");
+                }
+                let line = reception.line;
+                let whole = line.bytes_accepted + line.bytes_dropped;
+                assert_eq!(line.bytes_received, whole, "{context}");
+            }
         }
     }
 

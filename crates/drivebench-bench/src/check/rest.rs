@@ -243,6 +243,10 @@ impl Checker<'_> {
             0 => String::new(),
             _ => format!(", {late} late and {foreign} foreign frames on the line so far"),
         };
+        let strays = match line.stray_replies {
+            0 => strays,
+            count => format!("{strays}, {count} replies with stray bytes so far"),
+        };
         let figures = format!(
             "{PROBES} exchanges, {lost} lost, round trip {:.2} ms median, {:.2} ms 99 %, reaches {reachable_hz:.0} Hz, requested {rate_hz} Hz{strays}",
             1e3 * median_s,

@@ -98,7 +98,7 @@ impl ModbusBus {
             wait_until(sent + usual);
         }
         if !self.link.proof.is_doubtful() {
-            self.link.listen()?;
+            self.link.listen_out()?;
         }
         if self.link.proof.is_doubtful() {
             let name = self.link.core.name.clone();
