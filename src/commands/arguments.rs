@@ -21,7 +21,7 @@ use crate::workflow::ProgressCell;
 use drivebench_bench::recording::{ColumnMap, LoadedRun, resolved};
 use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
 use drivebench_identify::sanity;
-use drivebench_link::{Framing, RawClient, RawSettings, Target, standard_gap_s};
+use drivebench_link::{Framing, Protocol, RawClient, RawSettings, Target, standard_gap_s};
 use drivebench_model::sample::{Channel, Origin, Run, Side};
 
 /// A run on the command line; `runs/latest` is the folder that it names now.
@@ -234,17 +234,20 @@ pub(super) struct WireArguments {
     /// Serial port (Modbus RTU), or tcp:HOST:PORT
     #[arg(long, value_name = "PORT", conflicts_with = "host")]
     port: Option<String>,
-    /// Address of a Modbus TCP server
+    /// Address of a Modbus TCP server, or of a serial converter
     #[arg(long, value_name = "HOST:PORT")]
     host: Option<String>,
+    /// Frames of Modbus RTU over TCP, as transparent serial converters carry them
+    #[arg(long)]
+    rtu_over_tcp: bool,
     /// Baud rate of a serial port
     #[arg(long, value_name = "BAUD", default_value_t = 115_200, value_parser = clap::value_parser!(u32).range(1..))]
     baud: u32,
     /// Characters of a serial port: 8N1, 8E1, 8O1 or 8N2
     #[arg(long, value_name = "FRAMING", default_value = "8N1", value_parser = framing)]
     framing: Framing,
-    /// Address of the unit on the line
-    #[arg(long, value_name = "UNIT", default_value_t = 1, value_parser = clap::value_parser!(u8).range(1..=247))]
+    /// Address of the unit on the line, 1 to 247; over Modbus TCP 0 to 255
+    #[arg(long, value_name = "UNIT", default_value_t = 1)]
     unit: u8,
     /// Time for one reply
     #[arg(long, value_name = "MS", default_value_t = 1000, value_parser = clap::value_parser!(u64).range(1..=60_000))]
@@ -288,7 +291,9 @@ impl WireArguments {
                 ));
             }
         };
-        Ok(text.parse()?)
+        let target = text.parse()?;
+        check_unit(&target, Some(self.unit), self.rtu_over_tcp)?;
+        Ok(target)
     }
 
     pub(super) fn settings(&self) -> RawSettings {
@@ -299,6 +304,7 @@ impl WireArguments {
             unit: self.unit,
             timeout: Duration::from_millis(self.timeout_ms),
             gap: gap.or(self.gap_us.map(Duration::from_micros)),
+            rtu_over_tcp: self.rtu_over_tcp,
         }
     }
 
@@ -308,6 +314,30 @@ impl WireArguments {
 
     pub(super) fn open(&self, tap: &Tap, terminal: &Terminal) -> Result<RawClient, Failure> {
         open_line(&self.target()?, &self.settings(), tap, terminal)
+    }
+}
+
+/// RTU over TCP needs a network, and only Modbus TCP has units beyond those of a serial line.
+pub(super) fn check_unit(
+    target: &Target,
+    unit: Option<u8>,
+    rtu_over_tcp: bool,
+) -> Result<(), Failure> {
+    let is_serial = matches!(target, Target::Serial { .. });
+    if is_serial && rtu_over_tcp {
+        return Err(Failure::usage(
+            format!("--rtu-over-tcp is for a network, and {target} is a serial port"),
+            "give --host HOST:PORT, or leave --rtu-over-tcp out",
+        ));
+    }
+    match unit {
+        Some(unit) if (is_serial || rtu_over_tcp) && !(1..=247).contains(&unit) => {
+            Err(Failure::usage(
+                format!("--unit {unit} is no address of a unit on a serial line"),
+                "1 to 247; 0 and 248 to 255 exist over Modbus TCP only",
+            ))
+        }
+        _ => Ok(()),
     }
 }
 
@@ -346,6 +376,9 @@ pub(super) struct LiveArguments {
     /// Serial port, tcp:HOST:PORT, sim: (in memory, virtual time), sim:rtu (the same over Modbus RTU) or emulator; overrides the bench file
     #[arg(long, value_name = "PORT")]
     pub(super) port: Option<String>,
+    /// Frames of Modbus RTU over TCP, as transparent serial converters carry them; as link.protocol = "modbus-rtu-over-tcp"
+    #[arg(long)]
+    rtu_over_tcp: bool,
     /// Motor of the software drive: an embedded name (zk-22fc-plain, ...) or a file; only with --port emulator or sim:, which
     /// it does not select
     #[arg(long, value_name = "EMULATOR")]
@@ -434,6 +467,7 @@ impl LiveArguments {
         let given = [
             self.bench.as_deref().map(output::quoted),
             option("port", self.port.clone()),
+            switch("rtu-over-tcp", self.rtu_over_tcp),
             option("emulator", self.emulator.clone()),
             option("seed", self.seed.map(|seed| seed.to_string())),
             option("mystery", self.mystery.map(|seed| seed.to_string())),
@@ -464,6 +498,9 @@ impl LiveArguments {
                 return Err(Failure::usage(headline, help));
             }
             bench.link.port.clone_from(port);
+        }
+        if self.rtu_over_tcp {
+            bench.link.protocol = Protocol::ModbusRtuOverTcp;
         }
         if let Some(emulator) = &self.emulator {
             bench.emulator.config.clone_from(emulator);

@@ -24,7 +24,7 @@ use drivebench_link::{DriveProfile, Protocol};
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
     emulator: Option<String>,
-    /// modbus-rtu, modbus-tcp or stream; without it that of the profile
+    /// modbus-rtu, modbus-tcp, modbus-rtu-over-tcp or stream; without it that of the profile
     #[arg(long)]
     link: Option<String>,
     /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
@@ -61,13 +61,13 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let link = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
     let link = Protocol::named(link).ok_or_else(|| {
         let headline = format!("link {link:?} is not known");
-        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, stream")
+        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp, stream")
     })?;
     if guise.is_some() {
         if link == Protocol::Stream {
             return Err(Failure::usage(
                 opening::not_the_stream(&profile),
-                "allowed: modbus-rtu, modbus-tcp",
+                "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp",
             ));
         }
         opening::announce(&profile, terminal);
@@ -88,9 +88,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let endpoint = match (arguments.pty, arguments.listen) {
         (Some(path), _) => Endpoint::Pty(path),
         (None, Some(address)) => Endpoint::Tcp(address),
-        (None, None) if link == Protocol::ModbusTcp => {
-            Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
-        }
+        (None, None) if link.is_network() => Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0))),
         (None, None) => Endpoint::temporary_pty(),
     };
     if let Endpoint::Tcp(address) = &endpoint

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
-use crate::commands::arguments::framing;
+use crate::commands::arguments::{check_unit, framing};
 use crate::report::wording::{json, probe as words};
 use crate::runtime::failure::{Failure, LINK, REFUSED};
 use crate::runtime::opening;
@@ -49,8 +49,11 @@ pub(super) struct Arguments {
     /// Characters of a serial port: 8N1, 8E1, 8O1 or 8N2; without it those of the profile
     #[arg(long, value_name = "FRAMING", value_parser = framing)]
     framing: Option<Framing>,
-    /// Address of the unit on the line; without it that of the profile
-    #[arg(long, value_name = "UNIT", value_parser = clap::value_parser!(u8).range(1..=247))]
+    /// Frames of Modbus RTU over TCP, as transparent serial converters carry them
+    #[arg(long)]
+    rtu_over_tcp: bool,
+    /// Address of the unit on the line, 1 to 247, over Modbus TCP 0 to 255; without it that of the profile
+    #[arg(long, value_name = "UNIT")]
     unit: Option<u8>,
     /// Time for one reply; without it 1000, and 300 where every profile is tried
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u64).range(1..=60_000))]
@@ -74,11 +77,19 @@ impl Arguments {
             unit: self.unit,
             timeout: Duration::from_millis(self.timeout_ms.unwrap_or(timeout_ms)),
             gap_us: self.gap_us,
+            rtu_over_tcp: self.rtu_over_tcp,
         }
     }
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
+    if let Ok(target) = arguments.port.parse() {
+        check_unit(
+            &target,
+            arguments.unit,
+            arguments.rtu_over_tcp && arguments.port != "emulator",
+        )?;
+    }
     let tap = Tap::create(arguments.tap.as_deref(), terminal)?;
     let Some(drive) = &arguments.drive else {
         let found = survey(&arguments.port, &arguments.line(300), &tap, terminal)?;
@@ -236,6 +247,7 @@ struct LineOptions {
     unit: Option<u8>,
     timeout: Duration,
     gap_us: Option<u64>,
+    rtu_over_tcp: bool,
 }
 
 impl LineOptions {
@@ -248,6 +260,7 @@ impl LineOptions {
             unit: self.unit.unwrap_or(link.unit),
             timeout: self.timeout,
             gap: self.gap_us.map(Duration::from_micros).or(profiled_gap),
+            rtu_over_tcp: self.rtu_over_tcp || link.protocol == drive::Protocol::ModbusRtuOverTcp,
         }
     }
 }
@@ -318,6 +331,7 @@ pub(crate) fn read_limits(
         unit: None,
         timeout: Duration::from_secs(1),
         gap_us: None,
+        rtu_over_tcp: false,
     };
     let no_tap = Tap::create(None, terminal)?;
     let probed =

@@ -63,8 +63,21 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     bench.link.baud.get_or_insert(profile.link.baud);
     if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
         let headline = not_the_stream(&profile);
-        let help = "set link.protocol to modbus-rtu or modbus-tcp";
+        let help = "set link.protocol to modbus-rtu, modbus-tcp or modbus-rtu-over-tcp";
         return Err(Failure::usage(headline, help));
+    }
+    if let (Protocol::ModbusRtuOverTcp, Port::Serial(path)) = (bench.link.protocol, bench.port()) {
+        return Err(Failure::usage(
+            format!("link.protocol is modbus-rtu-over-tcp, and {path} is a serial port"),
+            "set link.protocol to modbus-rtu, or give tcp:HOST:PORT",
+        ));
+    }
+    let unit = bench.link.unit;
+    if !matches!(unit, 1..=247) && bench.link.protocol != Protocol::ModbusTcp {
+        return Err(Failure::usage(
+            format!("link.unit {unit} is not allowed"),
+            "1 to 247; over modbus-tcp 0 to 255",
+        ));
     }
     Ok((profile, text))
 }
@@ -157,7 +170,7 @@ pub(crate) fn on_a_line(
 fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     let mut line = config.line.clone();
     line.baud = match bench.link.protocol {
-        Protocol::ModbusTcp => 0,
+        Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp => 0,
         Protocol::ModbusRtu | Protocol::Stream => bench.baud(),
     };
     Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
@@ -173,7 +186,9 @@ pub(crate) fn serve(
     config.suits(guise.is_some(), protocol)?;
     let endpoint = match protocol {
         drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),
-        drive::Protocol::ModbusTcp => Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0))),
+        drive::Protocol::ModbusTcp | drive::Protocol::ModbusRtuOverTcp => {
+            Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
+        }
     };
     spawn_as(guise, config, seed, protocol, endpoint)
         .map_err(|error| Failure::link(error.to_string(), error.help()))
@@ -182,7 +197,9 @@ pub(crate) fn serve(
 /// The address of a served emulator.
 pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
     match protocol {
-        drive::Protocol::ModbusTcp => format!("tcp:{}", handle.address()),
+        drive::Protocol::ModbusTcp | drive::Protocol::ModbusRtuOverTcp => {
+            format!("tcp:{}", handle.address())
+        }
         drive::Protocol::ModbusRtu | drive::Protocol::Stream => handle.address().to_owned(),
     }
 }

@@ -240,6 +240,9 @@ fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
 fn protocol(profile: &DriveProfile, port: &str) -> Protocol {
     match (profile.link.protocol, Port::parse(port)) {
         (Protocol::Stream, _) => Protocol::Stream,
+        (Protocol::ModbusRtuOverTcp, Some(Port::Tcp(_) | Port::Emulator | Port::Sim)) => {
+            Protocol::ModbusRtuOverTcp
+        }
         (_, Some(Port::Tcp(_))) | (Protocol::ModbusTcp, Some(Port::Emulator | Port::Sim)) => {
             Protocol::ModbusTcp
         }

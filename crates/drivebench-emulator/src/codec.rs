@@ -110,7 +110,9 @@ pub(super) enum Codec {
 impl Codec {
     pub(super) fn new(kind: Protocol, unit: u8) -> Self {
         match kind {
-            Protocol::ModbusRtu => Self::ModbusRtu(Box::new(RtuReceiver::new(unit))),
+            Protocol::ModbusRtu | Protocol::ModbusRtuOverTcp => {
+                Self::ModbusRtu(Box::new(RtuReceiver::new(unit)))
+            }
             Protocol::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
             Protocol::Stream => Self::Stream(Box::default()),
         }
@@ -128,20 +130,14 @@ impl Codec {
         match self {
             Self::ModbusRtu(receiver) => {
                 receiver.push(byte);
-                answer_rtu(receiver, drive, answers);
+                answer_rtu(receiver, drive, may_command, answers);
             }
             Self::ModbusTcp(receiver, unit) => {
                 // 0 and 255: the device itself, whatever stands behind it.
                 if let Some(request) = receiver.push(byte).map_err(|_| Unframeable)?
                     && [0, *unit, 255].contains(&request.unit)
                 {
-                    let pdu = request.pdu();
-                    let writes = pdu.first().is_some_and(|code| WRITES.contains(code));
-                    let response = if writes && !may_command() {
-                        vec![pdu[0] | 0x80, Exception::Busy.code()]
-                    } else {
-                        drive.modbus(pdu)
-                    };
+                    let response = answer(request.pdu(), drive, may_command);
                     let (transaction, unit) = (request.transaction, request.unit);
                     if !response.is_empty() {
                         answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
@@ -164,7 +160,7 @@ impl Codec {
     pub(super) fn idle(&mut self, drive: &mut dyn Responder, answers: &mut Vec<Vec<u8>>) {
         if let Self::ModbusRtu(receiver) = self {
             receiver.idle();
-            answer_rtu(receiver, drive, answers);
+            answer_rtu(receiver, drive, &mut || true, answers);
         }
     }
 }
@@ -172,13 +168,27 @@ impl Codec {
 /// Function codes that change something in the drive: a host that is not in command gets the exception "busy".
 const WRITES: [u8; 6] = [5, 6, 15, 16, 22, 23];
 
+fn answer(pdu: &[u8], drive: &mut dyn Responder, may_command: &mut dyn FnMut() -> bool) -> Vec<u8> {
+    match pdu.first() {
+        Some(code) if WRITES.contains(code) && !may_command() => {
+            vec![code | 0x80, Exception::Busy.code()]
+        }
+        _ => drive.modbus(pdu),
+    }
+}
+
 fn is_command(received: &Received) -> bool {
     matches!(received, Ok(frame) if matches!(frame.message, stream::Message::Command(_)))
 }
 
-fn answer_rtu(receiver: &mut RtuReceiver, drive: &mut dyn Responder, answers: &mut Vec<Vec<u8>>) {
+fn answer_rtu(
+    receiver: &mut RtuReceiver,
+    drive: &mut dyn Responder,
+    may_command: &mut dyn FnMut() -> bool,
+    answers: &mut Vec<Vec<u8>>,
+) {
     while let Some(request) = receiver.take_frame() {
-        let response = drive.modbus(request.pdu());
+        let response = answer(request.pdu(), drive, may_command);
         if !request.is_broadcast() && !response.is_empty() {
             answers.push(rtu::encode_frame(request.unit, &response).to_vec());
         }

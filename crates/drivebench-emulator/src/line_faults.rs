@@ -183,7 +183,7 @@ impl LineFaults {
     /// A frame with another unit or content, and a check sum that fits; the stream's frames stay as they are.
     fn refit(&self, frame: &[u8], change: impl FnOnce(&mut u8, &mut Vec<u8>)) -> Vec<u8> {
         match (self.protocol, frame) {
-            (Protocol::ModbusRtu, [unit, pdu @ .., _, _]) => {
+            (Protocol::ModbusRtu | Protocol::ModbusRtuOverTcp, [unit, pdu @ .., _, _]) => {
                 let (mut unit, mut pdu) = (*unit, pdu.to_vec());
                 change(&mut unit, &mut pdu);
                 rtu::encode_frame(unit, &pdu).to_vec()

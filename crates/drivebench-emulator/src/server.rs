@@ -275,15 +275,17 @@ impl<'a> Server<'a> {
         #[cfg(target_os = "linux")]
         let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
         match (endpoint, self.link) {
-            (Endpoint::Pty(_), Protocol::ModbusTcp) => Err(ServerError::Transport {
-                link: self.link,
-                over: "a pseudo-terminal",
-                allowed: "modbus-rtu or stream",
-            }),
+            (Endpoint::Pty(_), Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp) => {
+                Err(ServerError::Transport {
+                    link: self.link,
+                    over: "a pseudo-terminal",
+                    allowed: "modbus-rtu or stream",
+                })
+            }
             (Endpoint::Tcp(_), Protocol::ModbusRtu) => Err(ServerError::Transport {
                 link: self.link,
                 over: "TCP",
-                allowed: "modbus-tcp or stream",
+                allowed: "modbus-tcp, modbus-rtu-over-tcp or stream",
             }),
             (Endpoint::Pty(path), _) => self
                 .serve_pty(path, ready)

@@ -91,7 +91,7 @@ impl LineBudget {
     /// map or stream; `None`: no serial line.
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         let frames = match (profile.link.protocol, &profile.registers) {
-            (Protocol::ModbusTcp, _) => return None,
+            (Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp, _) => return None,
             (_, Some(map)) => cycle_frames(map),
             (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
             (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],

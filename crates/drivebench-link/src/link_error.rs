@@ -58,6 +58,9 @@ fn whom(link: &str) -> &str {
     link.trim_end_matches(':')
 }
 
+/// Ends the name of a link with frames of RTU over TCP.
+pub(super) const OVER_TCP: &str = " (RTU)";
+
 fn is_network(link: &str) -> bool {
     link.starts_with("tcp:")
 }
@@ -71,6 +74,9 @@ impl LinkError {
             }
             Self::Open { .. } => {
                 "`drivebench ports` lists what is plugged in; no other program may hold the port"
+            }
+            Self::Timeout { link, .. } if link.ends_with(OVER_TCP) => {
+                "is the drive powered, and do baud rate, parity and unit number fit on the serial side of the converter? A server of Modbus TCP does not answer RTU: leave --rtu-over-tcp out"
             }
             Self::Timeout { link, .. } if is_network(link) => {
                 "is the drive powered, and the unit number right? A transparent serial converter carries RTU frames: --rtu-over-tcp (link.protocol = \"modbus-rtu-over-tcp\" in a bench file)"
@@ -95,6 +101,9 @@ impl LinkError {
                 "two devices may share the address or the bus; see the link statistics"
             }
             Self::Exception { code, requested, .. } => exceptions::help(*code, *requested),
+            Self::Gone(link, _) if is_network(link) => {
+                "the peer closed the connection: check that it is on and that no other program uses it (some units take one connection, or one request a connection); then start again"
+            }
             Self::Gone { .. } => {
                 "check the cable, the adapter, and that the peer is switched on; then start again"
             }

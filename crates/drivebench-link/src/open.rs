@@ -9,6 +9,7 @@ use thiserror::Error;
 use tokio::runtime::Builder;
 
 use super::link::{DriveLink, LinkError, Result};
+use super::link_error::OVER_TCP;
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
@@ -124,7 +125,8 @@ pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn Drive
     }
 }
 
-/// Opens a Modbus link: RTU over a serial port, TCP over the network, whatever the profile's protocol.
+/// Opens a Modbus link: RTU over a serial port, TCP over the network, whatever the profile's protocol; but RTU over TCP where the
+/// profile has that.
 pub fn open_modbus(
     target: &Target,
     profile: &DriveProfile,
@@ -141,7 +143,7 @@ pub(super) fn open_line(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<ModbusLink> {
-    let name = target.to_string();
+    let mut name = target.to_string();
     let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
     let runtime = Builder::new_current_thread().enable_all().build().map_err(cannot)?;
     let (port, kind, unit, timing, tap): (Box<dyn Port>, _, _, _, _) = {
@@ -158,8 +160,10 @@ pub(super) fn open_line(
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;
+                let is_rtu = settings.protocol == Protocol::ModbusRtuOverTcp;
                 let ends = stream.local_addr().and_then(|ours| Ok((ours, stream.peer_addr()?)));
                 let tap = match tap {
+                    Some(tap) if is_rtu => Some(tap.rtu()),
                     Some(tap) => {
                         let (ours, peer) = ends.map_err(cannot)?;
                         Some(tap.tcp(ours, peer))
@@ -170,8 +174,13 @@ pub(super) fn open_line(
                     .set_nonblocking(true)
                     .and_then(|()| tokio::net::TcpStream::from_std(stream))
                     .map_err(cannot)?;
-                let timing = LineTiming::network(settings);
-                (Box::new(stream), FrameKind::Tcp, unit, timing, tap)
+                let (kind, timing) = if is_rtu {
+                    name += OVER_TCP;
+                    (FrameKind::Rtu, LineTiming::converter(settings, settings.baud))
+                } else {
+                    (FrameKind::Tcp, LineTiming::network(settings))
+                };
+                (Box::new(stream), kind, unit, timing, tap)
             }
         }
     };

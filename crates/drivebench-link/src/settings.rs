@@ -41,12 +41,25 @@ named! {
         #[default]
         ModbusRtu = "modbus-rtu",
         ModbusTcp = "modbus-tcp",
+        /// Frames of RTU over a TCP connection, as transparent serial converters carry them.
+        ModbusRtuOverTcp = "modbus-rtu-over-tcp",
         Stream = "stream",
     }
 }
 
 impl Protocol {
-    pub const ALL: [Self; 3] = [Self::ModbusRtu, Self::ModbusTcp, Self::Stream];
+    pub const ALL: [Self; 4] =
+        [Self::ModbusRtu, Self::ModbusTcp, Self::ModbusRtuOverTcp, Self::Stream];
+
+    /// Whether it needs a network.
+    pub const fn is_network(self) -> bool {
+        matches!(self, Self::ModbusTcp | Self::ModbusRtuOverTcp)
+    }
+
+    /// Whether its frames are those of RTU, which carry no transaction number.
+    pub const fn is_rtu(self) -> bool {
+        matches!(self, Self::ModbusRtu | Self::ModbusRtuOverTcp)
+    }
 
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|known| known.name() == name)
@@ -139,7 +152,12 @@ pub(super) fn check_ranges(
     watchdog_ms: Option<f64>,
     limits: &DriveLimits,
 ) -> Result<(), RangeError> {
-    let (unit, reply) = ((1.0, 247.0, "1 to 247"), (0.0, 1e4, "0 to 10000"));
+    let unit = match link.protocol {
+        // 0 and 255: the server itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2.4).
+        Protocol::ModbusTcp => (0.0, 255.0, "0 to 255"),
+        _ => (1.0, 247.0, "1 to 247"),
+    };
+    let reply = (0.0, 1e4, "0 to 10000");
     let (gap, deadline) = ((0.0, 1e6, "0 to 1000000"), (1.0, 6e4, "1 to 60000"));
     let rows = [
         ("link.baud", Some(link.baud.into()), POSITIVE),

@@ -8,6 +8,9 @@ use super::waiting::{now, skip_to};
 /// Delay of an adapter until it is measured (the latency timer of FTDI is 16 ms); also the most that a busy host may add.
 const ADAPTER_DELAY: Duration = Duration::from_millis(16);
 
+/// What a converter adds until it hands a frame on (packing time-outs of 10 to 50 ms), with a round trip of a local network.
+const CONVERTER_DELAY: Duration = Duration::from_millis(60);
+
 /// Silence between frames by the standard, s.
 pub fn standard_gap_s(baud: u32, framing: Framing) -> f64 {
     // 3.5 characters, and a fixed time above 19200 baud (MODBUS over Serial Line V1.02, 2.5.1.1).
@@ -26,6 +29,8 @@ pub(super) struct LineTiming {
     reply: Duration,
     /// What adapter and host add to an exchange at the most.
     adapter: Duration,
+    /// What a network with a converter adds besides; never measured away.
+    network: Duration,
     deadline: Option<Duration>,
 }
 
@@ -47,8 +52,14 @@ impl LineTiming {
             gap_s: 0.0,
             reply: seconds(settings.reply_ms * 1e-3),
             adapter: ADAPTER_DELAY,
+            network: Duration::ZERO,
             deadline: settings.deadline_ms.map(|ms| seconds(ms * 1e-3)),
         }
+    }
+
+    /// A serial line behind a converter on a network: the times of both.
+    pub(super) fn converter(settings: &LinkSettings, baud: u32) -> Self {
+        Self { network: CONVERTER_DELAY, ..Self::serial(settings, baud, true) }
     }
 
     /// The same with another silence before a request.
@@ -66,13 +77,17 @@ impl LineTiming {
         seconds((request_bytes + reply_bytes) as f64 * self.char_s)
     }
 
+    pub(super) const fn network_delay(&self) -> Duration {
+        self.network
+    }
+
     pub(super) fn gap(&self) -> Duration {
         seconds(self.gap_s)
     }
 
     /// Silence after which nothing of an earlier exchange can come any more from a drive that keeps its times.
     pub(super) fn quiet(&self) -> Duration {
-        self.gap() + 2 * self.reply + self.adapter
+        self.gap() + 2 * self.reply + self.adapter + self.network
     }
 
     pub(super) fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
@@ -87,14 +102,14 @@ impl LineTiming {
     /// Time of an urgent request: one turnaround and the delay of an adapter.
     pub(super) fn brief(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + self.gap_s;
-        seconds(wire_s) + self.reply + self.adapter
+        seconds(wire_s) + self.reply + self.adapter + self.network
     }
 
     /// Time for an exchange outside the cycles of a run, whose deadline it does not have to keep.
     pub(super) fn unhurried(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
         let wire_s = (request_bytes + reply_bytes) as f64 * self.char_s + 2.0 * self.gap_s;
         // What adapter, kernel and host may add to an exchange.
-        seconds(wire_s) + 2 * self.reply + Duration::from_millis(40)
+        seconds(wire_s) + 2 * self.reply + Duration::from_millis(40) + self.network
     }
 
     /// Wire time of an exchange with its silences, s: what no drive can do better. How long this one takes to reply is

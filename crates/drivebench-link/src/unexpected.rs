@@ -75,7 +75,7 @@ impl Unexpected {
                 "the drive sends more bytes for each register than the 2 of Modbus: its manual may have a mode with registers of 16 bits"
             }
             Self::Length { .. } => {
-                "the drive sends fewer registers than requested: read them one by one (ADDRESS:1)"
+                "the drive does not keep to the count of the request, so no value can be proven: compare the address and the count with the register list of its manual"
             }
             Self::Frame => "two devices may share the address or the bus; see the link statistics",
             Self::Echo => {

@@ -71,9 +71,12 @@ pub(super) fn modbus_link<D: Device + 'static>(
     settings: &LinkSettings,
     device: &Arc<Mutex<D>>,
 ) -> ModbusLink {
-    let timing = match kind {
-        FrameKind::Rtu => LineTiming::serial(settings, settings.baud, true),
-        FrameKind::Tcp => LineTiming::network(settings),
+    let timing = match (kind, settings.protocol) {
+        (FrameKind::Rtu, Protocol::ModbusRtuOverTcp) => {
+            LineTiming::converter(settings, settings.baud)
+        }
+        (FrameKind::Rtu, _) => LineTiming::serial(settings, settings.baud, true),
+        (FrameKind::Tcp, _) => LineTiming::network(settings),
     };
     let port = Box::new(VirtualPort::new(Arc::clone(device)));
     let (name, unit) = (name.to_owned(), settings.unit);

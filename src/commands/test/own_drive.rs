@@ -39,7 +39,7 @@ impl OwnDrive {
     /// Starts the process; returns once the drive can be opened, within 60 s.
     pub(super) fn start(order: &DriveOrder<'_>) -> io::Result<Self> {
         let file = |ending: &str| order.folder.join(format!("{}{ending}", order.name));
-        let is_network = order.protocol == Protocol::ModbusTcp;
+        let is_network = order.protocol.is_network();
         let mut command = Command::new(order.program);
         command.args(["emulate", &order.emulator]);
         command.args(["--profile", &order.profile]);

@@ -4,7 +4,7 @@ use super::{InitRequest, Reasoned, short};
 use crate::bench_file::{BenchFile, LimitsSection, Port};
 use crate::limits::OVER_SPEED_IN_RATED;
 use drivebench_link::register_map::Quantity;
-use drivebench_link::{LineBudget, LostReply, Protocol};
+use drivebench_link::{LineBudget, LostReply};
 use drivebench_model::sample::Channel;
 
 /// A value that must not be exceeded, with its origin.
@@ -186,7 +186,7 @@ pub(super) struct Rate {
 pub(super) fn rate(request: &InitRequest<'_>) -> Rate {
     let profile = request.profile;
     let is_network = matches!(Port::parse(request.port), Some(Port::Tcp(_)))
-        || profile.link.protocol == Protocol::ModbusTcp;
+        || profile.link.protocol.is_network();
     let budget = (!is_network).then(|| LineBudget::of(profile)).flatten();
     let reply = budget.as_ref().and_then(LineBudget::reply_text);
     let line_hz = budget.map(|budget| budget.usual_rate_hz());

@@ -61,7 +61,7 @@ fn kinds_on(protocol: Protocol) -> Vec<FaultKind> {
         )
     };
     match protocol {
-        Protocol::ModbusRtu => KINDS.to_vec(),
+        Protocol::ModbusRtu | Protocol::ModbusRtuOverTcp => KINDS.to_vec(),
         Protocol::ModbusTcp => KINDS.into_iter().filter(|kind| !changes_bytes(kind)).collect(),
         Protocol::Stream => KINDS[..13].to_vec(),
     }
@@ -186,6 +186,8 @@ struct Observed {
     line: DriveOnLine,
     meant: Arc<Mutex<Meant>>,
     tampered: u64,
+    /// Zeros around every reply, some before and some behind, as a line without bias or a slow turnaround adds them.
+    has_strays: bool,
 }
 
 impl Observed {
@@ -195,7 +197,7 @@ impl Observed {
         let drive = Numbered(SoftDrive::new(&config, 1), Arc::clone(&meant));
         let config = LineConfig::default();
         let line = DriveOnLine::new(Box::new(drive), protocol, UNIT, &config, faults, seed);
-        Arc::new(Mutex::new(Self { protocol, line, meant, tampered: 0 }))
+        Arc::new(Mutex::new(Self { protocol, line, meant, tampered: 0, has_strays: false }))
     }
 }
 
@@ -206,7 +208,9 @@ impl FarEnd for Observed {
         let answer = &self.meant.lock().unwrap().answer;
         let expected = match self.protocol {
             _ if answer.is_empty() => Vec::new(),
-            Protocol::ModbusRtu => rtu::encode_frame(UNIT, answer).to_vec(),
+            Protocol::ModbusRtu | Protocol::ModbusRtuOverTcp => {
+                rtu::encode_frame(UNIT, answer).to_vec()
+            }
             Protocol::ModbusTcp => {
                 let transaction = u16::from_be_bytes([bytes[0], bytes[1]]);
                 tcp::encode_frame(transaction, UNIT, answer).to_vec()
@@ -220,7 +224,14 @@ impl FarEnd for Observed {
             _ => false,
         };
         self.tampered += u64::from(!is_clean);
-        sent
+        if !self.has_strays {
+            return sent;
+        }
+        let sent = sent.into_iter().map(|(at_s, bytes)| {
+            let before = bytes.len() % 3;
+            (at_s, [vec![0; before], bytes, vec![0; 3 - before]].concat())
+        });
+        sent.collect()
     }
 }
 
@@ -384,10 +395,21 @@ fn map(resync: &str) -> RegisterMap {
 
 /// The bus of a drive with a map of its own: nothing in a plain read says which request it answers.
 fn on_a_bus(resync: &str, faults: &[FaultEntry], count: usize, seed: u64) -> Outcome {
+    on_a_stray_bus(resync, faults, count, seed, false)
+}
+
+fn on_a_stray_bus(
+    resync: &str,
+    faults: &[FaultEntry],
+    count: usize,
+    seed: u64,
+    has_strays: bool,
+) -> Outcome {
     paused(|| {
         let mut settings = DriveProfile::named("epulse50-dc").unwrap().link;
         settings.deadline_ms = Some(12.0);
         let far = Observed::new(Protocol::ModbusRtu, faults, seed);
+        far.lock().unwrap().has_strays = has_strays;
         let meant = Arc::clone(&far.lock().unwrap().meant);
         let link = modbus_to(Protocol::ModbusRtu, &settings, &far);
         let mut bus = ModbusBus::new(link, &map(resync));
@@ -438,6 +460,23 @@ fn mixed_faults_never_give_a_wrong_value_on_a_profiled_bus() {
         assert!((0.03..0.06).contains(&share), "{outcome:?}");
         // A drive that answers late is deaf meanwhile, and a write is not repeated.
         assert!(outcome.collateral * 10 < outcome.tampered, "{outcome:?}");
+    }
+}
+
+/// Stray bytes around every reply, and every reply twice: no loss of synchronisation, and no wrong value beside other faults.
+#[test]
+fn bytes_around_whole_replies_cost_nothing_and_hide_no_fault() {
+    let count = if everything() { 2_000_000 } else { 100_000 };
+    for resync in ["fc08", "length"] {
+        let clean = on_a_stray_bus(resync, &[], 3000, 1, true);
+        assert_eq!((clean.wrong, clean.statistics.lost()), (0, 0), "{resync}: {clean:?}");
+        let outcome = on_a_stray_bus(resync, &on_bus(mixed(&KINDS)), count, 7, true);
+        println!("{resync}: {outcome:?}");
+        assert_eq!(outcome.wrong, 0, "{resync}: {outcome:?}");
+        assert!(outcome.collateral * 10 < outcome.tampered, "{outcome:?}");
+        let doubled = on_a_bus(resync, &[fault(FaultKind::DoubledReply, 1.0)], 3000, 1);
+        assert_eq!((doubled.wrong, doubled.statistics.lost()), (0, 0), "{resync}: {doubled:?}");
+        assert!(doubled.stale_frames > 2900, "{resync}: {doubled:?}");
     }
 }
 

@@ -66,12 +66,18 @@ pub struct RawSettings {
     pub timeout: Duration,
     /// Silence before a request; `None`: that of the standard for the baud rate.
     pub gap: Option<Duration>,
+    /// Over a network: frames of RTU, as transparent converters carry them.
+    pub rtu_over_tcp: bool,
 }
 
 impl RawSettings {
     fn link(&self) -> LinkSettings {
         LinkSettings {
-            protocol: Protocol::default(),
+            protocol: if self.rtu_over_tcp {
+                Protocol::ModbusRtuOverTcp
+            } else {
+                Protocol::default()
+            },
             baud: self.baud,
             unit: self.unit,
             framing: self.framing,
@@ -103,6 +109,7 @@ impl RawClient {
                 let baud = baud.unwrap_or(settings.baud);
                 format!(" at {baud} {}", settings.framing.name())
             }
+            (Target::Tcp { .. }, _) if settings.rtu_over_tcp => String::new(),
             (Target::Tcp { .. }, gap) => {
                 // A network needs no silence; one that is set is kept.
                 let gap_s = gap.unwrap_or_default().as_secs_f64();
@@ -118,6 +125,7 @@ impl RawClient {
         if link.kind == FrameKind::Rtu {
             // Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
             let quiet = Duration::from_millis(20).max(link.core.timing.gap());
+            let quiet = quiet + link.core.timing.network_delay();
             link.proof = Proof::new(Policy::Trial(timeout), quiet, now());
         }
         link.at = Some(at);

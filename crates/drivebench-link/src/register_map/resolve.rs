@@ -233,8 +233,7 @@ impl Reader<'_> {
         };
         part.require(can, "resync", message)?;
         let holds = link.protocol != Protocol::Stream;
-        let message =
-            "a register map is not spoken over \"stream\" (expected modbus-rtu or modbus-tcp)";
+        let message = "a register map is not spoken over \"stream\" (expected modbus-rtu, modbus-tcp or modbus-rtu-over-tcp)";
         part.require(holds, "protocol", message)?;
         let formula = link.address_formula;
         self.numbering = Numbering { base, formula };

@@ -111,6 +111,7 @@ fn settings(timeout: Duration) -> RawSettings {
         unit: 1,
         timeout,
         gap: Some(Duration::ZERO),
+        rtu_over_tcp: false,
     }
 }
 
@@ -353,7 +354,7 @@ fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
 
 /// A unit that refuses some functions with an exception, and carries a write out some time after its reply.
 #[test]
-fn a_write_has_done_what_its_acknowledgement_and_its_registers_state() {
+fn acknowledgement_and_read_back_state_what_a_write_has_done() {
     use WriteOutcome::{Confirmed, Differs, Pending, Unconfirmed, Unreadable};
     /// Reply to the write (0: its acknowledgement), time until it acts, and reply to reads meanwhile and afterwards.
     type Case = (&'static str, u8, Option<u64>, u8, u8, WriteOutcome);
