@@ -14,7 +14,8 @@ use serde_json::json;
 
 use crate::commands::arguments::{WireArguments, open_line};
 use crate::commands::probe::{Scan, scan};
-use crate::runtime::failure::{Failure, LINK};
+use crate::commands::registers::strays_text;
+use crate::runtime::failure::{Failure, LINK, REFUSED};
 use crate::runtime::opening::Tap;
 use crate::runtime::output::{Terminal, lines};
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
@@ -87,10 +88,41 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     };
     let (findings, last_error) = Findings::of(&target, settings, &look, &tap, terminal)?;
     terminal.result(&findings, arguments.json, Findings::text)?;
-    match (findings.round_trip, last_error) {
-        (Some(_), _) => Ok(()),
-        (None, Some(error)) => Err(error.into()),
-        (None, None) => Err(Failure::new(LINK, "no request was answered")),
+    let verdict = findings.verdict();
+    match (findings.condition, findings.round_trip, last_error) {
+        (Condition::Good, ..) => Ok(()),
+        (Condition::Bad, ..) => Err(Failure::with_help(
+            REFUSED,
+            verdict,
+            "the counters in the bug report name the kind: timeout (power, cable), crc (noise, termination, baud rate), stale (late replies), mismatch (another device)",
+        )),
+        (Condition::Lost, None, Some(error)) => Err(error.into()),
+        (Condition::Lost, Some(_), Some(error)) => {
+            Err(Failure::link(format!("{verdict}; the last: {error}"), error.help()))
+        }
+        (Condition::Lost, _, None) => Err(Failure::new(LINK, verdict)),
+    }
+}
+
+/// Condition of the line by the requests of the round-trip probe.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+enum Condition {
+    /// Every request was answered.
+    Good,
+    /// Some were not.
+    Bad,
+    /// Most were not.
+    Lost,
+}
+
+impl Condition {
+    const fn of(trips: Option<&RoundTripFindings>) -> Self {
+        match trips {
+            Some(trips) if trips.answered == trips.asked => Self::Good,
+            Some(trips) if 2 * trips.answered >= trips.asked => Self::Bad,
+            _ => Self::Lost,
+        }
     }
 }
 
@@ -195,6 +227,7 @@ struct Findings {
     names: Vec<String>,
     answers_function_8: Option<bool>,
     counters: RawCounters,
+    condition: Condition,
 }
 
 #[derive(Clone, Copy, Serialize)]
@@ -307,7 +340,9 @@ impl Findings {
         let gap_s = gap_s.unwrap_or_else(|| standard_gap_s(baud, framing));
         let budget = port.as_ref().map(|_| MeasuredLine { baud, framing, gap_s, added_s: 0.0 });
         let settings = Settings { baud, framing, unit };
+        let round_trip = RoundTripFindings::of(probed, PROBES, budget);
         let findings = Self {
+            condition: Condition::of(round_trip.as_ref()),
             link: target.to_string(),
             exclusive: port.is_some(),
             port,
@@ -315,7 +350,7 @@ impl Findings {
             latency,
             settings,
             scan,
-            round_trip: RoundTripFindings::of(probed, PROBES, budget),
+            round_trip,
             names,
             answers_function_8,
             counters,
@@ -379,7 +414,27 @@ impl Findings {
             );
         }
         line("bug report", self.line());
+        text.push_str(&strays_text(&self.counters));
+        let _ = writeln!(text, "{}", self.verdict());
         text
+    }
+
+    fn verdict(&self) -> String {
+        let (answered, asked) =
+            self.round_trip.as_ref().map_or((0, PROBES), |trips| (trips.answered, trips.asked));
+        let link = &self.link;
+        match self.condition {
+            Condition::Good => format!("{link} works: all {asked} requests were answered"),
+            Condition::Bad => {
+                format!("{link} works badly: {} of {asked} requests were lost", asked - answered)
+            }
+            Condition::Lost if answered == 0 => {
+                format!("{link} does not work: no request was answered")
+            }
+            Condition::Lost => {
+                format!("{link} does not work: {} of {asked} requests were lost", asked - answered)
+            }
+        }
     }
 
     fn settings_text(&self) -> String {
@@ -544,6 +599,7 @@ mod tests {
                 50,
                 Some(budget),
             ),
+            condition: Condition::Good,
             names: vec!["Acme".to_owned(), "VX-1".to_owned()],
             answers_function_8: Some(false),
             counters: RawCounters {
@@ -559,6 +615,29 @@ mod tests {
     }
 
     #[test]
+    fn the_condition_of_a_line_follows_from_its_lost_requests() {
+        for (answered, condition, verdict) in [
+            (Some(50), Condition::Good, "works: all 50"),
+            (Some(49), Condition::Bad, "works badly: 1 of 50 requests were lost"),
+            (Some(25), Condition::Bad, "works badly: 25 of 50"),
+            (Some(24), Condition::Lost, "does not work: 26 of 50"),
+            (None, Condition::Lost, "does not work: no request was answered"),
+        ] {
+            let mut findings = findings();
+            let probed = |answered| Probed {
+                round_trips: vec![Duration::from_millis(2); answered],
+                ..Probed::default()
+            };
+            findings.round_trip =
+                answered.and_then(|answered| RoundTripFindings::of(probed(answered), 50, None));
+            findings.condition = Condition::of(findings.round_trip.as_ref());
+            assert_eq!(findings.condition, condition, "{answered:?}");
+            let text = findings.text();
+            assert!(text.trim_end().lines().last().unwrap().contains(verdict), "{text}");
+        }
+    }
+
+    #[test]
     fn findings_hold_wire_time_causes_and_a_line_for_a_report() {
         let findings = findings();
         let trips = findings.round_trip.as_ref().unwrap();
@@ -570,6 +649,7 @@ mod tests {
         let text = findings.text();
         assert!(text.contains("17.0 ms more than the wire takes: the latency timer above"));
         assert!(text.contains(UDEV_RULE), "{text}");
+        assert!(text.ends_with("/dev/ttyUSB0 works: all 50 requests were answered\n"), "{text}");
         let line = findings.line();
         assert!(!line.contains('\n'));
         for part in [

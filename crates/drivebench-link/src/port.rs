@@ -74,25 +74,46 @@ pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
                 format!("it does not exist (there are: {})", there.join(", "))
             }
         }
-        ErrorKind::PermissionDenied => match owning_group(path) {
-            Some(group) => format!(
-                "permission denied: it belongs to group {group} (sudo usermod -aG {group} $USER, then log in again)"
-            ),
-            None => "permission denied".to_owned(),
-        },
+        ErrorKind::PermissionDenied => {
+            let owner = std::fs::metadata(path).map(|file| (file.mode(), file.gid()));
+            let groups = std::fs::read_to_string("/etc/group").unwrap_or_default();
+            owner.map_or_else(
+                |_| "permission denied".to_owned(),
+                |(mode, gid)| permission(path, mode, gid, &groups),
+            )
+        }
         _ => error.to_string(),
     };
     LinkError::Open(path.to_owned(), reason)
 }
 
-fn owning_group(path: &str) -> Option<String> {
-    let gid = std::fs::metadata(path).ok()?.gid().to_string();
-    let groups = std::fs::read_to_string("/etc/group").ok()?;
-    groups.lines().find_map(|line| {
-        let mut fields = line.split(':');
-        let name = fields.next()?;
-        (fields.nth(1)? == gid).then(|| name.to_owned())
-    })
+/// Why a device file is not for this user, and what mends it: its group, where that may read and write and is not that of the
+/// administrator; else a rule for udev.
+fn permission(path: &str, mode: u32, gid: u32, groups: &str) -> String {
+    let named = |wanted: &dyn Fn(&str, &str) -> bool| {
+        groups.lines().find_map(|line| {
+            let mut fields = line.split(':');
+            let (name, gid) = (fields.next()?, fields.nth(1)?);
+            wanted(name, gid).then(|| name.to_owned())
+        })
+    };
+    let owner = named(&|_, number| number == gid.to_string());
+    if let (0o060, Some(group)) = (mode & 0o060, owner.as_ref().filter(|_| gid != 0)) {
+        return format!(
+            "permission denied: it belongs to group {group} (sudo usermod -aG {group} $USER, then log in again)"
+        );
+    }
+    let usual = ["dialout", "uucp"].into_iter();
+    let group = usual.filter_map(|usual| named(&|name, _| name == usual)).next();
+    let group = group.unwrap_or_else(|| "dialout".to_owned());
+    let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
+    let kernel = real.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
+    let kernel = kernel.trim_end_matches(|c: char| c.is_ascii_digit());
+    format!(
+        "permission denied: its mode is {:04o} and its group {}, which opens it to no user; as root, into /etc/udev/rules.d/99-serial.rules: KERNEL==\"{kernel}*\", GROUP=\"{group}\", MODE=\"0660\"; then plug it in again and join the group {group}",
+        mode & 0o777,
+        owner.as_deref().unwrap_or("unnamed"),
+    )
 }
 
 pub(super) trait TimedPort: Send {
@@ -173,11 +194,23 @@ mod tests {
 
     #[test]
     fn a_refused_permission_names_the_group() {
+        let groups = "root:x:0:\ndialout:x:20:\nusers:x:100:\n";
+        for (mode, gid, has, has_not) in [
+            (0o20_660, 20, "usermod -aG dialout", "udev"),
+            (0o20_600, 0, "KERNEL==\"ttyUSB*\", GROUP=\"dialout\", MODE=\"0660\"", "usermod"),
+            (0o20_660, 0, "its group root, which opens it to no user", "usermod"),
+            (0o20_640, 20, "its mode is 0640", "usermod"),
+            (0o20_600, 20, "99-serial.rules", "usermod"),
+            (0o20_660, 777, "its group unnamed", "usermod"),
+        ] {
+            let text = permission("/dev/ttyUSB7", mode, gid, groups);
+            assert!(text.contains(has) && !text.contains(has_not), "{mode:o} {gid}: {text}");
+        }
         let denied = serialport::Error::new(
             serialport::ErrorKind::Io(ErrorKind::PermissionDenied),
             "Permission denied",
         );
         let error = serial_error("/dev/null", &denied).to_string();
-        assert!(error.contains("belongs to group root"), "{error}");
+        assert!(error.contains("permission denied: its mode is"), "{error}");
     }
 }
