@@ -26,6 +26,7 @@ mod init;
 mod pages;
 mod plan;
 mod probe;
+mod register_values;
 mod registers;
 mod replay;
 mod report;

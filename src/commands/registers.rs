@@ -13,6 +13,9 @@ use clap::Subcommand;
 use serde::Serialize;
 
 use crate::commands::arguments::WireArguments;
+use crate::commands::register_values::{
+    Address, ByteOrder, Format, Guess, Value, ValueType, guesses,
+};
 use crate::runtime::failure::Failure;
 use crate::runtime::output::{Terminal, lines};
 use crate::runtime::{output, signals};
@@ -69,18 +72,30 @@ fn number(text: &str) -> Result<u16, String> {
 #[command(after_help = "Examples:
   drivebench registers read 10 --port /dev/ttyUSB0
   drivebench registers read 0:16 0x2100:4 --host 192.168.1.7:502 --unit 2 --json
+  drivebench registers read 400:4 --as f32 --order CDAB --port /dev/ttyUSB0
+  drivebench registers read 4x0401:4 --guess --port /dev/ttyUSB0               which type and order could it be?
   drivebench registers read 0:10 --port drive.pty --repeat 1000 --gap-us 0     how fast is this line?
 
-Addresses are those of the protocol, from 0: register 40001 of a manual is address 0.")]
+Addresses are those of the protocol, from 0: register 40001 of a manual is address 0, and may be given as 4x1 (input
+register 30001 as 3x1) or with six digits as 400001 (300001). 40001 itself is the protocol address 40001.")]
 struct ReadArguments {
-    /// Registers to read: ADDRESS, or ADDRESS:COUNT
+    /// Registers to read: ADDRESS, or ADDRESS:COUNT; without COUNT one value
     #[arg(required = true, value_name = "ADDRESS[:COUNT]", value_parser = span)]
-    spans: Vec<(u16, u16)>,
+    spans: Vec<Span>,
     #[command(flatten)]
     wire: WireArguments,
     /// Input registers instead of holding registers
     #[arg(long)]
     input: bool,
+    /// Type of the values; without it the registers themselves
+    #[arg(long = "as", value_enum, value_name = "TYPE")]
+    kind: Option<ValueType>,
+    /// Order of the bytes of a value as they come, the highest is A
+    #[arg(long, value_enum, ignore_case = true, requires = "kind", default_value = "ABCD")]
+    order: ByteOrder,
+    /// Show every reading of the registers that looks plausible, and why
+    #[arg(long, conflicts_with = "kind")]
+    guess: bool,
     /// Rounds of all reads; the values of the last are shown
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..=100_000_000))]
     repeat: u64,
@@ -89,22 +104,74 @@ struct ReadArguments {
     json: bool,
 }
 
-fn span(text: &str) -> Result<(u16, u16), String> {
-    let (address, count) = text.split_once(':').unwrap_or((text, "1"));
-    let (address, count) = (number(address)?, number(count)?);
-    if !(1..=MOST_READ).contains(&count) {
+/// Registers to read, as they are given.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Span {
+    address: Address,
+    count: Option<u16>,
+}
+
+fn span(text: &str) -> Result<Span, String> {
+    let (address, count) = match text.split_once(':') {
+        Some((address, count)) => (address, Some(number(count)?)),
+        None => (text, None),
+    };
+    let address = Address::parse(address)?;
+    if let Some(count) = count.filter(|count| !(1..=MOST_READ).contains(count)) {
         let most = format!("1 to {MOST_READ}, what one request can carry");
         return Err(format!("{count} registers are not {most}"));
     }
-    let last = address.checked_add(count - 1);
-    let beyond = || format!("{count} registers at {address} reach beyond address 65535");
-    last.map(|_| (address, count)).ok_or_else(beyond)
+    Ok(Span { address, count })
+}
+
+impl Span {
+    /// The request, with the registers that the values need.
+    fn request(&self, is_input: bool, format: Option<Format>) -> Result<ReadRequest, Failure> {
+        let Address { number: address, table, .. } = self.address;
+        let table = match (table, is_input) {
+            (Some(RegisterTable::Holding), true) => {
+                let headline = format!("{} is a holding register", self.text());
+                return Err(Failure::usage(headline, "leave --input out, or give 3x..."));
+            }
+            (Some(table), _) => table,
+            (None, true) => RegisterTable::Input,
+            (None, false) => RegisterTable::Holding,
+        };
+        let each = format.map_or(1, Format::registers);
+        let count = self.count.unwrap_or(each);
+        if count % each != 0 {
+            return Err(Failure::usage(
+                format!("{count} registers at {} are no whole number of values", self.text()),
+                format!("a value of this type takes {each} registers: {}:{each}", self.text()),
+            ));
+        }
+        if address.checked_add(count - 1).is_none() {
+            return Err(Failure::usage(
+                format!("{count} registers at {address} reach beyond address 65535"),
+                "a lower address or fewer registers",
+            ));
+        }
+        Ok(ReadRequest { table, address, count })
+    }
+
+    fn text(&self) -> String {
+        let notation = self.address.notation.clone();
+        notation.unwrap_or_else(|| self.address.number.to_string())
+    }
+}
+
+fn format(kind: Option<ValueType>, order: ByteOrder) -> Result<Option<Format>, Failure> {
+    let format = kind.map(|kind| Format::new(kind, order)).transpose();
+    format.map_err(|headline| Failure::usage(headline, "ABCD is the order of the standard"))
 }
 
 fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
-    let table = if arguments.input { RegisterTable::Input } else { RegisterTable::Holding };
-    let request = |&(address, count): &(u16, u16)| ReadRequest { table, address, count };
-    let requests: Vec<_> = arguments.spans.iter().map(request).collect();
+    let format = format(arguments.kind, arguments.order)?;
+    let request = |span: &Span| span.request(arguments.input, format);
+    let requests = arguments.spans.iter().map(request).collect::<Result<Vec<_>, _>>()?;
+    for remark in arguments.spans.iter().filter_map(|span| span.address.remark()) {
+        terminal.message(&remark);
+    }
     let stop = signals::flag()?;
     let tap = arguments.wire.tap(terminal)?;
     let mut client = arguments.wire.open(&tap, terminal)?;
@@ -112,7 +179,14 @@ fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
     let counters = client.counters();
     drop(client);
     drop(tap);
-    let result = ReadResult::of(&batch, counters);
+    let mut result = ReadResult::of(&batch, counters);
+    for (outcome, span) in result.reads.iter_mut().zip(&arguments.spans) {
+        outcome.notation.clone_from(&span.address.notation);
+        let registers = outcome.values.as_deref().unwrap_or_default();
+        outcome.format = format;
+        outcome.decoded = format.map(|format| format.decode(registers));
+        outcome.guesses = arguments.guess.then(|| guesses(outcome.address, registers));
+    }
     terminal.result(&result, arguments.json, ReadResult::text)?;
     if batch.is_interrupted {
         let headline = format!("interrupted after {} of the reads", batch.asked);
@@ -125,6 +199,7 @@ fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
 #[derive(clap::Args)]
 #[command(after_help = "Examples:
   drivebench registers write 100 1500 --port /dev/ttyUSB0          shows what changes, then needs a yes
+  drivebench registers write 4x0401 49.98 --as f32 --order CDAB --port /dev/ttyUSB0
   drivebench registers write 0x2000 18 3000 --host 192.168.1.7:502 --yes --hardware
 
 A register of a drive may start a motor. A write is never repeated by itself: when its reply is lost, what the unit
@@ -134,12 +209,18 @@ holds is read and shown. --hardware is needed with --yes for anything that does 
     reason = "switches of a command line, each independent of the others"
 )]
 struct WriteArguments {
-    /// Protocol address of the first register, from 0
-    #[arg(value_parser = number)]
-    address: u16,
-    /// Values, one for each register from there on
-    #[arg(required = true, value_name = "VALUE", value_parser = value, allow_negative_numbers = true)]
-    values: Vec<u16>,
+    /// Protocol address of the first register, from 0; or as manuals count: 4x1, 400001
+    #[arg(value_parser = Address::parse)]
+    address: Address,
+    /// Values from there on; without --as one for each register
+    #[arg(required = true, value_name = "VALUE", allow_negative_numbers = true)]
+    values: Vec<String>,
+    /// Type of the values
+    #[arg(long = "as", value_enum, value_name = "TYPE")]
+    kind: Option<ValueType>,
+    /// Order of the bytes of a value as they are sent, the highest is A
+    #[arg(long, value_enum, ignore_case = true, requires = "kind", default_value = "ABCD")]
+    order: ByteOrder,
     #[command(flatten)]
     wire: WireArguments,
     /// Function code 16 for a single register too; many drives have only one of 6 and 16
@@ -157,16 +238,36 @@ struct WriteArguments {
 }
 
 fn write(arguments: &WriteArguments, terminal: &Terminal) -> Result<(), Failure> {
-    let (address, values) = (arguments.address, arguments.values.as_slice());
+    let address = arguments.address.number;
+    if arguments.address.table == Some(RegisterTable::Input) {
+        let headline = format!("{address} is an input register, which nothing writes");
+        return Err(Failure::usage(
+            headline,
+            "holding registers are 4x1, 400001, or protocol addresses",
+        ));
+    }
+    let format = format(arguments.kind, arguments.order)?;
+    let encoded = arguments.values.iter().map(|text| match format {
+        Some(format) => format.encode(text),
+        None => value(text).map(|word| vec![word]),
+    });
+    let encoded = encoded.collect::<Result<Vec<_>, _>>();
+    let values = encoded.map(|values| values.concat()).map_err(|headline| {
+        Failure::usage(headline, "--as names another type (u16, i16, u32, i32, f32, text)")
+    })?;
+    let values = values.as_slice();
     let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
     if values.len() > MOST_WRITTEN || address.checked_add(count - 1).is_none() {
         let headline = format!("{} at {address} do not fit one request", registers(count.into()));
         let help = format!("at most {MOST_WRITTEN} registers, up to address 65535");
         return Err(Failure::usage(headline, help));
     }
+    if let Some(remark) = arguments.address.remark() {
+        terminal.message(&remark);
+    }
     let tap = arguments.wire.tap(terminal)?;
     let mut client = arguments.wire.open(&tap, terminal)?;
-    let (result, verdict) = write_once(&mut client, arguments, count, terminal)?;
+    let (result, verdict) = write_once(&mut client, arguments, (values, format), terminal)?;
     drop(client);
     drop(tap);
     terminal.result(&result, arguments.json, WriteResult::text)?;
@@ -211,10 +312,52 @@ struct ReadResult {
 #[derive(Serialize)]
 struct ReadOutcome {
     address: u16,
+    table: &'static str,
+    /// The address as it was given, where it is no protocol address.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    notation: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     values: Option<Vec<u16>>,
+    #[serde(flatten)]
+    format: Option<Format>,
+    /// The values by type and order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decoded: Option<Vec<Value>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    guesses: Option<Vec<Guess>>,
     #[serde(skip_serializing_if = "Option::is_none")]
     error: Option<String>,
+}
+
+impl ReadOutcome {
+    /// The values with their registers, or the registers alone.
+    fn text(&self) -> String {
+        let mut text = String::new();
+        if let Some(error) = &self.error {
+            let _ = writeln!(text, "{:>5}  error: {error}", self.address);
+        }
+        let registers = self.values.as_deref().unwrap_or_default();
+        let hexadecimal = |registers: &[u16]| {
+            registers.iter().map(|v| format!("{v:04x}")).collect::<Vec<_>>().join(" ")
+        };
+        if let Some(decoded) = self.decoded.as_ref().filter(|_| !registers.is_empty()) {
+            let each = registers.len() / decoded.len().max(1);
+            for (index, (value, own)) in decoded.iter().zip(registers.chunks(each)).enumerate() {
+                let address = usize::from(self.address) + index * each;
+                let (value, own) = (value.text(), hexadecimal(own));
+                let _ = writeln!(text, "{address:>5}  {value:<16} {own}");
+            }
+            return text;
+        }
+        for (index, line) in registers.chunks(8).enumerate() {
+            let decimal: Vec<String> = line.iter().map(|value| format!("{value:>5}")).collect();
+            let (decimal, hexadecimal) = (decimal.join(" "), hexadecimal(line));
+            let address = usize::from(self.address) + index * 8;
+            let _ = writeln!(text, "{address:>5}  {decimal:<48} {hexadecimal}");
+        }
+        lines(&mut text, "", self.guesses.iter().flatten().map(Guess::line));
+        text
+    }
 }
 
 impl ReadResult {
@@ -222,6 +365,14 @@ impl ReadResult {
         let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
         let reads = batch.reads.iter().map(|read| ReadOutcome {
             address: read.request.address,
+            table: match read.request.table {
+                RegisterTable::Holding => "holding",
+                RegisterTable::Input => "input",
+            },
+            notation: None,
+            format: None,
+            decoded: None,
+            guesses: None,
             values: read.values.as_ref().ok().cloned(),
             error: read.values.as_ref().err().map(ToString::to_string),
         });
@@ -241,17 +392,7 @@ impl ReadResult {
     fn text(&self) -> String {
         let mut text = String::new();
         for read in &self.reads {
-            if let Some(error) = &read.error {
-                let _ = writeln!(text, "{:>5}  error: {error}", read.address);
-            }
-            let lines = read.values.as_deref().unwrap_or_default().chunks(8);
-            for (index, line) in lines.enumerate() {
-                let decimal: Vec<String> = line.iter().map(|value| format!("{value:>5}")).collect();
-                let hexadecimal: Vec<String> = line.iter().map(|v| format!("{v:04x}")).collect();
-                let (decimal, hexadecimal) = (decimal.join(" "), hexadecimal.join(" "));
-                let address = usize::from(read.address) + index * 8;
-                let _ = writeln!(text, "{address:>5}  {decimal:<48} {hexadecimal}");
-            }
+            text.push_str(&read.text());
         }
         let c = &self.counters;
         let r = &c.requests;
@@ -268,6 +409,7 @@ impl ReadResult {
                 self.answered, self.asked
             );
         }
+        text.push_str(&strays_text(c));
         let busy = (c.busy_repeats > 0).then_some(c.busy_repeats);
         lines(&mut text, "reads repeated because the unit was busy: ", busy);
         // A refused probe that the line is in step is no refused read.
@@ -297,6 +439,17 @@ impl ReadResult {
     }
 }
 
+/// Replies that came with stray bytes, where there were some.
+pub(super) fn strays_text(counters: &RawCounters) -> String {
+    let answered = counters.requests.ok + counters.requests.exception;
+    match counters.line.stray_replies {
+        0 => String::new(),
+        count => format!(
+            "{count} of {answered} replies came with stray bytes around them, which were dropped: bias or termination of the line, or the turnaround of the adapter\n"
+        ),
+    }
+}
+
 /// Every read was answered, or the first that was not is the failure.
 fn verdict(batch: Batch) -> Result<(), Failure> {
     if batch.is_all_answered() {
@@ -320,6 +473,11 @@ struct WriteResult<'a> {
     before: Option<Vec<u16>>,
     written: &'a [u16],
     after: Option<Vec<u16>>,
+    #[serde(flatten)]
+    format: Option<Format>,
+    /// What they hold now, by type and order.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decoded: Option<Vec<Value>>,
     /// The registers read back what was written.
     confirmed: bool,
     outcome: WriteOutcome,
@@ -357,6 +515,14 @@ impl WriteResult<'_> {
         };
         let _ = writeln!(text, "{what} at {address}: {outcome}");
         lines(&mut text, "reading back: ", &self.unreadable);
+        if let Some(format) = self.format {
+            let held = self.decoded.iter().flatten().map(Value::text).collect::<Vec<_>>().join(" ");
+            lines(
+                &mut text,
+                &format!("as {} ", format.name()),
+                Some(held).filter(|h| !h.is_empty()),
+            );
+        }
         let after = self.after.as_ref().filter(|_| !self.confirmed);
         lines(&mut text, "the unit holds ", after.map(|after| format!("{after:?}")));
         text
@@ -366,11 +532,12 @@ impl WriteResult<'_> {
 /// Shows the present and the new values, writes with consent, and reads back; the result, and its failure.
 fn write_once<'a>(
     client: &mut RawClient,
-    arguments: &'a WriteArguments,
-    count: u16,
+    arguments: &WriteArguments,
+    (values, format): (&'a [u16], Option<Format>),
     terminal: &Terminal,
 ) -> Result<(WriteResult<'a>, Result<(), Failure>), Failure> {
-    let (address, values) = (arguments.address, arguments.values.as_slice());
+    let address = arguments.address.number;
+    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
     let is_emulator = is_emulator(client)?;
     let before = client.read_back(address, count);
     if let Err(
@@ -398,6 +565,8 @@ fn write_once<'a>(
         before,
         written: values,
         after: done.after.as_ref().ok().cloned(),
+        format,
+        decoded: format.map(|format| format.decode(done.after.as_deref().unwrap_or_default())),
         confirmed: done.outcome == WriteOutcome::Confirmed,
         outcome: done.outcome,
         accepted_s: done.accepted_s,
@@ -450,21 +619,32 @@ mod tests {
         ] {
             assert_eq!(value(text).ok(), expected, "value {text}");
         }
-        for (text, expected) in [
-            ("10", Some((10, 1))),
-            ("0x2100:0x10", Some((0x2100, 16))),
-            ("65535:1", Some((65_535, 1))),
-            ("", None),
-            (":", None),
-            ("a", None),
-            ("-1", None),
-            ("65536", None),
-            ("0:0", None),
-            ("0:126", None),
-            ("65535:2", None),
-            ("1:2:3", None),
+        let float = Format::new(ValueType::F32, ByteOrder::Cdab).ok();
+        for (text, format, expected) in [
+            ("10", None, Some((10, 1))),
+            ("0x2100:0x10", None, Some((0x2100, 16))),
+            ("65535:1", None, Some((65_535, 1))),
+            ("4x11:2", None, Some((10, 2))),
+            ("10", float, Some((10, 2))),
+            ("10:4", float, Some((10, 4))),
+            ("10:3", float, None),
+            ("65535", float, None),
+            ("", None, None),
+            (":", None, None),
+            ("a", None, None),
+            ("-1", None, None),
+            ("65536", None, None),
+            ("0:0", None, None),
+            ("0:126", None, None),
+            ("65535:2", None, None),
+            ("1:2:3", None, None),
         ] {
-            assert_eq!(span(text).ok(), expected, "span {text}");
+            let request = span(text).ok().and_then(|span| span.request(false, format).ok());
+            let found = request.map(|request| (request.address, request.count));
+            assert_eq!(found, expected, "span {text}");
         }
+        assert!(span("4x1").unwrap().request(true, None).is_err(), "a holding register");
+        let input = span("3x1").unwrap().request(false, None).unwrap();
+        assert_eq!((input.table, input.address), (RegisterTable::Input, 0));
     }
 }

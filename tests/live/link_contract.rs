@@ -94,6 +94,7 @@ fn over_pseudo_terminals_and_tcp() {
         (Protocol::ModbusRtu, Endpoint::temporary_pty(), 115_200),
         (Protocol::Stream, Endpoint::temporary_pty(), 0),
         (Protocol::ModbusTcp, any_port(), 0),
+        (Protocol::ModbusRtuOverTcp, any_port(), 0),
         (Protocol::Stream, any_port(), 0),
     ] {
         // Shown where the case fails.
@@ -108,6 +109,7 @@ fn a_peer_that_vanishes_is_noticed_at_once_and_for_good() {
     for (kind, endpoint) in [
         (Protocol::ModbusRtu, Endpoint::temporary_pty()),
         (Protocol::ModbusTcp, any_port()),
+        (Protocol::ModbusRtuOverTcp, any_port()),
         (Protocol::Stream, Endpoint::temporary_pty()),
         (Protocol::Stream, any_port()),
     ] {

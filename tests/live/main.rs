@@ -18,6 +18,7 @@ mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;
+mod odd_units;
 mod probe;
 mod profiles;
 mod reopen;
