@@ -48,7 +48,7 @@ pub(super) const fn help(code: u8, requested: Requested) -> &'static str {
     match (code, function) {
         (_, 0) => "see the drive's manual for what it accepts in this state",
         (1, _) if is_of_profile => {
-            "the drive does not have this function code: correct `functions` in the [link] of its profile"
+            "is it the drive of this profile? `drivebench probe --port PORT` without --drive tries every built-in one; else correct `functions` in the [link] of the profile"
         }
         (1, 3) => {
             "the drive may have input registers only (function code 04): `registers read --input`"

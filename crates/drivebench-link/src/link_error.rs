@@ -119,6 +119,14 @@ impl LinkError {
         }
     }
 
+    /// An exception to a request that a drive profile makes.
+    pub(super) fn of_profile(mut self) -> Self {
+        if let Self::Exception { requested, .. } = &mut self {
+            requested.is_of_profile = true;
+        }
+        self
+    }
+
     /// Whether the next cycle may simply try again.
     pub const fn is_transient(&self) -> bool {
         matches!(self, Self::Unexpected { what, .. } if !matches!(what, Unexpected::RtuFrames))

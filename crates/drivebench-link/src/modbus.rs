@@ -563,7 +563,8 @@ impl DriveLink for ModbusLink {
 
     fn identify(&mut self) -> Result<Identity> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
-        let block = self.while_busy(|link| link.read_checked(read, &read.text()))?.value;
+        let block = self.while_busy(|link| link.read_checked(read, &read.text()));
+        let block = block.map_err(LinkError::of_profile)?.value;
         let block = block
             .as_slice()
             .try_into()

@@ -103,8 +103,8 @@ fn permission(path: &str, mode: u32, gid: u32, groups: &str) -> String {
             "permission denied: it belongs to group {group} (sudo usermod -aG {group} $USER, then log in again)"
         );
     }
-    let usual = ["dialout", "uucp"].into_iter();
-    let group = usual.filter_map(|usual| named(&|name, _| name == usual)).next();
+    let mut usual = ["dialout", "uucp"].into_iter();
+    let group = usual.find_map(|usual| named(&|name, _| name == usual));
     let group = group.unwrap_or_else(|| "dialout".to_owned());
     let real = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
     let kernel = real.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();

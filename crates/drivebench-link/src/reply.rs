@@ -54,6 +54,15 @@ impl Expected {
         self.earlier.push_back((std::mem::take(&mut self.request), is_answered));
     }
 
+    /// Whether a frame may be the late reply to an earlier request that got none.
+    pub(super) fn may_be_late(&self, frame: &[u8]) -> bool {
+        let response = unit_and_pdu(frame).map(|(_, response)| response).unwrap_or_default();
+        let mut unanswered = self.earlier.iter().filter(|(_, is_answered)| !is_answered);
+        unanswered.any(|(request, _)| {
+            unit_and_pdu(request).is_some_and(|(_, pdu)| answers(pdu, response))
+        })
+    }
+
     fn is_met_by(&self, pdu: &[u8], response: &[u8]) -> bool {
         let refused = response.first().is_some_and(|code| code & 0x80 != 0);
         answers(pdu, response)

