@@ -39,7 +39,7 @@ pub(super) struct Echo {
 }
 
 /// Requests that are remembered for naming late replies.
-const EARLIER: usize = 8;
+const EARLIER: usize = 32;
 
 impl Expected {
     /// The outstanding request is over.
