@@ -139,7 +139,7 @@ impl Span {
         };
         let each = format.map_or(1, Format::registers);
         let count = self.count.unwrap_or(each);
-        if count % each != 0 {
+        if !count.is_multiple_of(each) {
             return Err(Failure::usage(
                 format!("{count} registers at {} are no whole number of values", self.text()),
                 format!("a value of this type takes {each} registers: {}:{each}", self.text()),
