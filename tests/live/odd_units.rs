@@ -206,12 +206,21 @@ fn what_a_unit_answers_is_used_or_named() {
             &["own bytes came back", "the adapter works"],
         ),
         ("echo", rtu(plain, |request, reply| [request, &reply].concat()), RTU_READ, 0, &[values]),
+    ] {
+        ask(name, &address, command, status, parts);
+    }
+}
+
+#[test]
+fn an_exception_has_its_own_way_on_which_works() {
+    let values = "10 11 12";
+    for (name, address, command, status, parts) in [
         (
             "busy",
             tcp(refuses(6, &[3]), |_| ()),
             READ,
             3,
-            &["0x06 device busy", "repeated because the unit was busy: 10", "!no such register"],
+            &["0x06 device busy", "repeated because the unit was busy: 10", "!no such register"][..],
         ),
         (
             "busy doctor",
