@@ -1,18 +1,19 @@
 //! Any CSV (RFC 4180, with dialects) row by row into rows and runs.
 //!
 //! ```text
-//! text -> head (byte order mark, sep= line, header row) -> Dialect, Columns
-//!      -> csv::Reader: cells of one line -> rules of a row -> Row -> Run
+//! text -> csv_head: Head (separator, headers) -> csv_columns: which cell is what
+//!      -> csv_cells: cells of one line -> csv_number -> time_axis -> Row -> Run
 //! ```
-//!
-//! The memory does not grow with the file. A quoted cell holds no line break, so that a torn line never swallows others:
-//! the csv reader ignores quotes, and a line with quotes is split once more.
 
-use std::io::{self, BufRead, Read, Seek, SeekFrom};
+use std::io::BufRead;
 
+use super::csv_cells::{Cells, at_line};
+use super::csv_columns::{Cell, Column, QUALITY, columns_by_map, columns_of_our_own};
+use super::csv_head::{Head, read_head};
+use super::csv_number::NumberFormat;
 use super::error::RowProblem;
-use super::{ColumnMap, Factor, RecordingError, Row};
-use drivebench_model::config_text::nearest;
+use super::time_axis::Stamps;
+use super::{ColumnMap, RecordingError, Row};
 use drivebench_model::sample::{Channel, LARGEST, Origin, Run};
 
 /// How a file is to be read.
@@ -76,244 +77,6 @@ pub(super) fn collect(
     Ok(run)
 }
 
-/// The length of the whole rows of a record, and whether a torn one follows. Every row ends with a line feed, so a last row
-/// without one is torn even if it can be read: `1.2` may have been `1.25`.
-pub(super) fn whole_rows(text: &mut (impl Read + Seek)) -> io::Result<(u64, bool)> {
-    let end = text.seek(SeekFrom::End(0))?;
-    let mut whole = end;
-    let mut block = Vec::new();
-    while whole > 0 {
-        let from = whole.saturating_sub(4096);
-        text.seek(SeekFrom::Start(from))?;
-        block.clear();
-        text.by_ref().take(whole - from).read_to_end(&mut block)?;
-        let line_end = block.iter().rposition(|byte| *byte == b'\n');
-        whole = from + line_end.map_or(0, |at| at as u64 + 1);
-        if line_end.is_some() {
-            break;
-        }
-    }
-    text.seek(SeekFrom::Start(0))?;
-    Ok((whole, whole < end))
-}
-
-/// Own columns that are no quantity.
-const BOOKKEEPING: [&str; 4] = ["host_time_s", "seq", "status", QUALITY];
-/// The one of them that is kept.
-const QUALITY: &str = "quality";
-/// Longest row, bytes: it bounds the memory.
-const LONGEST_LINE: u64 = 1 << 20;
-
-/// One column of the run: the product of some cells and `factor`, plus `offset`.
-struct Column {
-    target: Option<Channel>,
-    cells: Vec<Cell>,
-    factor: f64,
-    offset: f64,
-}
-
-struct Cell {
-    field: usize,
-    /// Only the sign of the cell counts: that of its last value that was not zero, +1 before there is one.
-    sign: Option<f64>,
-}
-
-/// The lines after the header, each split into its cells.
-struct Cells<R> {
-    reader: csv::Reader<Bounded<R>>,
-    separator: u8,
-    record: csv::StringRecord,
-    /// Lines up to the header.
-    lines_before: u64,
-}
-
-/// Fails where a line is too long.
-struct Bounded<R> {
-    inner: R,
-    /// Bytes since the last line feed.
-    length: u64,
-    is_over: bool,
-}
-
-impl<R: Read> Read for Bounded<R> {
-    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
-        let count = loop {
-            match self.inner.read(buffer) {
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                read => break read?,
-            }
-        };
-        let feed = buffer[..count].iter().rposition(|byte| *byte == b'\n');
-        let open = count - feed.map_or(0, |at| at + 1);
-        self.length = open as u64 + if feed.is_some() { 0 } else { self.length };
-        self.is_over = count == 0;
-        if self.length > LONGEST_LINE {
-            return Err(io::ErrorKind::FileTooLarge.into());
-        }
-        Ok(count)
-    }
-}
-
-/// A line that cannot be split into cells.
-enum LineError {
-    Io(io::Error),
-    TooLong,
-    NotUtf8,
-    Quote,
-}
-
-impl From<csv::Error> for LineError {
-    fn from(error: csv::Error) -> Self {
-        match error.into_kind() {
-            csv::ErrorKind::Io(error) if error.kind() == io::ErrorKind::FileTooLarge => {
-                Self::TooLong
-            }
-            csv::ErrorKind::Io(error) => Self::Io(error),
-            csv::ErrorKind::Utf8 { .. } => Self::NotUtf8,
-            // Rows of any length are allowed.
-            _ => Self::Quote,
-        }
-    }
-}
-
-impl<R: BufRead> Cells<R> {
-    fn behind_header(inner: R, separator: u8, lines_before: u64) -> Self {
-        let reader = csv::ReaderBuilder::new()
-            .has_headers(false)
-            .flexible(true)
-            .quoting(false)
-            .delimiter(separator)
-            .terminator(csv::Terminator::Any(b'\n'))
-            .buffer_capacity(1 << 16)
-            .from_reader(Bounded { inner, length: 0, is_over: false });
-        Self { reader, separator, record: csv::StringRecord::new(), lines_before }
-    }
-
-    /// Reads the next line that is not blank; `false` at the end of the file.
-    fn next_line(&mut self) -> Result<bool, LineError> {
-        if !self.reader.read_record(&mut self.record)? {
-            return Ok(false);
-        }
-        if self.record.as_slice().contains('"') {
-            let separator = char::from(self.separator).to_string();
-            let line = self.record.iter().collect::<Vec<_>>().join(&separator);
-            let (cells, is_joined) = quoted_cells(&line, self.separator)?;
-            if is_joined {
-                return Err(LineError::Quote);
-            }
-            self.record = cells.into();
-        }
-        Ok(true)
-    }
-
-    /// The line is the last and has no line feed.
-    fn is_open(&self) -> bool {
-        self.reader.get_ref().is_over
-    }
-
-    /// Number of the line in the file; at its end of the one that would follow.
-    fn line(&self) -> usize {
-        let line = self.lines_before + self.reader.position().line() - u64::from(!self.is_open());
-        usize::try_from(line).unwrap_or(usize::MAX)
-    }
-
-    /// A cell without blanks at its ends.
-    fn get(&self, field: usize) -> &str {
-        self.record[field].trim()
-    }
-}
-
-/// The next line with its line end; 0 at the end of the file.
-fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> Result<usize, LineError> {
-    let mut limited = reader.take(LONGEST_LINE);
-    let count = limited.read_until(b'\n', line).map_err(LineError::Io)?;
-    if limited.limit() == 0 && line.last() != Some(&b'\n') {
-        return Err(LineError::TooLong);
-    }
-    Ok(count)
-}
-
-/// The cells of a line with quotes, and whether text follows a closed quote, which belongs to the cell then: `"1"2`.
-fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bool), LineError> {
-    let separator = char::from(separator);
-    let (mut cells, mut is_joined) = (Vec::new(), false);
-    let mut rest = line;
-    loop {
-        let mut cell = String::new();
-        if let Some(mut quoted) = rest.strip_prefix('"') {
-            loop {
-                let (part, behind) = quoted.split_once('"').ok_or(LineError::Quote)?;
-                cell.push_str(part);
-                let Some(more) = behind.strip_prefix('"') else {
-                    rest = behind;
-                    break;
-                };
-                (cell, quoted) = (cell + "\"", more);
-            }
-            let behind = rest.split(separator).next().unwrap_or_default();
-            is_joined |= !behind.trim_matches([' ', '\t', '\r']).is_empty();
-        }
-        let end = rest.find(separator);
-        cell.push_str(&rest[..end.unwrap_or(rest.len())]);
-        cells.push(cell);
-        match end {
-            Some(at) => rest = &rest[at + 1..],
-            None => return Ok((cells, is_joined)),
-        }
-    }
-}
-
-/// Separator and decimal mark of a file.
-struct Dialect {
-    separator: u8,
-    /// The decimal mark, once a number has one; always a point where the comma is the separator.
-    decimal: Option<u8>,
-    has_mark: bool,
-    has_sep_line: bool,
-}
-
-impl Dialect {
-    /// NaN for a missing cell; `None` for what is neither missing nor a finite number.
-    fn number(&mut self, cell: &str) -> Option<f64> {
-        let finite = |text: &str| text.parse().ok().filter(|value: &f64| !value.is_infinite());
-        if cell.is_empty() {
-            return Some(f64::NAN);
-        }
-        if self.separator != b','
-            && let Some(mark) = cell.bytes().find(|byte| matches!(byte, b',' | b'.'))
-        {
-            if *self.decimal.get_or_insert(mark) != mark {
-                return None;
-            }
-            if mark == b',' {
-                return finite(&cell.replacen(',', ".", 1));
-            }
-        }
-        finite(cell)
-    }
-}
-
-/// Rows of a foreign file that were left out for their time.
-#[derive(Default)]
-struct Stamps {
-    repeated: usize,
-    backwards: usize,
-    /// Of the first row that goes back.
-    first: Option<RecordingError>,
-}
-
-impl Stamps {
-    fn sentence(&self, file: &str) -> Option<String> {
-        let (repeated, backwards) = (self.repeated, self.backwards);
-        let all = repeated + backwards;
-        (all > 0).then(|| {
-            format!(
-                "{file}: {all} rows whose time is not after that of the row before were left out: {repeated} repeat it, {backwards} go back"
-            )
-        })
-    }
-}
-
 /// The rows of a CSV in order. Empty and `NaN` cells are missing; in foreign files lines that begin with `#` are comments.
 ///
 /// A torn last row is left out, counted and warned of, and so are rows of a foreign file whose time is not after that of
@@ -321,13 +84,13 @@ impl Stamps {
 pub struct CsvRows<R> {
     cells: Cells<R>,
     file: String,
-    headers: Vec<String>,
+    head: Head,
     columns: Vec<Column>,
     /// The `quality` column, of our own files only.
     quality_field: Option<usize>,
     is_mapped: bool,
     in_run_folder: bool,
-    dialect: Dialect,
+    numbers: NumberFormat,
     last_s: Option<f64>,
     /// Lines with data, counted as errors count them.
     lines: usize,
@@ -341,30 +104,26 @@ pub struct CsvRows<R> {
 
 impl<R: BufRead> CsvRows<R> {
     /// Reads the header. `file` names the run and stands in errors.
-    pub fn new(
-        mut reader: R,
-        file: &str,
-        options: ReadOptions<'_>,
-    ) -> Result<Self, RecordingError> {
+    pub fn new(reader: R, file: &str, options: ReadOptions<'_>) -> Result<Self, RecordingError> {
         let mut items = options.map.map_or(&[][..], ColumnMap::items).iter();
         let time = items.find(|item| item.target.is_none());
         let time = time.map_or("time_s", |item| item.header.as_str());
-        let (headers, dialect, lines_before) = head(&mut reader, file, time)?;
+        let (head, cells) = read_head(reader, file, time)?;
         let mut warnings = Vec::new();
         let columns = match options.map {
-            Some(map) => columns_by_map(&headers, map, file)?,
-            None => columns_of_our_own(&headers, file, &mut warnings)?,
+            Some(map) => columns_by_map(&head.headers, map, file)?,
+            None => columns_of_our_own(&head.headers, file, &mut warnings)?,
         };
-        let quality_field = headers.iter().position(|header| header == QUALITY);
+        let quality_field = head.headers.iter().position(|header| header == QUALITY);
         Ok(Self {
-            cells: Cells::behind_header(reader, dialect.separator, lines_before),
+            cells,
             file: file.to_owned(),
             quality_field: quality_field.filter(|_| options.map.is_none()),
-            headers,
+            numbers: NumberFormat::new(head.separator),
+            head,
             columns,
             is_mapped: options.map.is_some(),
             in_run_folder: options.in_run_folder,
-            dialect,
             last_s: None,
             lines: 0,
             rows: 0,
@@ -443,16 +202,16 @@ impl<R: BufRead> CsvRows<R> {
 
     /// How the file differs from comma and decimal point; complete after the last row.
     pub fn dialect(&self) -> Option<String> {
-        let Dialect { separator, decimal, .. } = self.dialect;
+        let separator = self.head.separator;
         let name = match separator {
             b'\t' => "a tab".to_owned(),
             other => format!("{:?}", char::from(other)),
         };
         let differences = [
             (separator != b',', &*format!("{name} separates the cells")),
-            (decimal == Some(b','), "numbers have a decimal comma"),
-            (self.dialect.has_sep_line, "a sep= line names the separator"),
-            (self.dialect.has_mark, "it begins with a byte order mark"),
+            (self.numbers.has_decimal_comma(), "numbers have a decimal comma"),
+            (self.head.has_sep_line, "a sep= line names the separator"),
+            (self.head.has_mark, "it begins with a byte order mark"),
         ];
         let texts: Vec<&str> =
             differences.iter().filter(|(applies, _)| *applies).map(|(_, text)| *text).collect();
@@ -471,7 +230,7 @@ impl<R: BufRead> CsvRows<R> {
         let line = self.cells.line();
         let first = self.cells.get(0);
         // With its carriage return a blank line is one cell.
-        if self.cells.record.len() == 1 && first.is_empty() {
+        if self.cells.count() == 1 && first.is_empty() {
             return Ok(None);
         }
         if first.starts_with('#') && !self.in_run_folder {
@@ -479,11 +238,11 @@ impl<R: BufRead> CsvRows<R> {
             return Ok(None);
         }
         self.lines += 1;
-        let (file, row, headers) = (&self.file, self.lines, &self.headers);
+        let (file, row, headers) = (&self.file, self.lines, &self.head.headers);
         let wrong = |problem| RecordingError::Row { file: file.clone(), row, line, problem };
-        if self.cells.record.len() != headers.len() {
+        if self.cells.count() != headers.len() {
             return Err(wrong(RowProblem::FieldCount {
-                found: self.cells.record.len(),
+                found: self.cells.count(),
                 expected: headers.len(),
             }));
         }
@@ -494,7 +253,7 @@ impl<R: BufRead> CsvRows<R> {
             let mut value = column.factor;
             for Cell { field, sign } in &mut column.cells {
                 let cell = self.cells.get(*field);
-                let Some(number) = self.dialect.number(cell) else {
+                let Some(number) = self.numbers.number(cell) else {
                     return Err(wrong(RowProblem::NotANumber {
                         column: headers[*field].clone(),
                         text: cell.to_owned(),
@@ -551,163 +310,6 @@ impl<R: BufRead> CsvRows<R> {
         }
         Ok(Some(out))
     }
-}
-
-fn at_line(error: &LineError, file: &str, line: usize) -> RecordingError {
-    let file = file.to_owned();
-    match error {
-        LineError::Io(error) => {
-            RecordingError::Io { path: file, doing: "read", reason: error.to_string() }
-        }
-        // It has not been counted.
-        LineError::TooLong => {
-            RecordingError::LineTooLong { file, line: line + 1, most: LONGEST_LINE }
-        }
-        LineError::NotUtf8 => RecordingError::NotUtf8 { file, line },
-        LineError::Quote => RecordingError::Quote { file, line },
-    }
-}
-
-/// Headers, dialect, and number of the header row: the first line that is neither blank nor a comment. A line that begins with
-/// `#` but has the time column is a header, as some tools write it.
-fn head(
-    reader: &mut impl BufRead,
-    file: &str,
-    time: &str,
-) -> Result<(Vec<String>, Dialect, u64), RecordingError> {
-    let mut dialect =
-        Dialect { separator: b',', decimal: None, has_mark: false, has_sep_line: false };
-    // The first with which the file has its time column.
-    let mut separators = vec![b',', b';', b'\t'];
-    let mut bytes = Vec::new();
-    for lines in 1.. {
-        bytes.clear();
-        let before = usize::try_from(lines - 1).unwrap_or(usize::MAX);
-        let count = read_line(reader, &mut bytes).map_err(|error| at_line(&error, file, before))?;
-        if count == 0 {
-            break;
-        }
-        if lines == 1 && bytes.starts_with(b"\xef\xbb\xbf") {
-            bytes.drain(..3);
-            dialect.has_mark = true;
-        }
-        let text = bytes.trim_ascii();
-        if text.is_empty() {
-            continue;
-        }
-        if lines == 1
-            && text.len() == 5
-            && text[..4].eq_ignore_ascii_case(b"sep=")
-            && text[4].is_ascii_punctuation()
-        {
-            separators = vec![text[4]];
-            dialect.has_sep_line = true;
-            continue;
-        }
-        let is_comment = text[0] == b'#';
-        let split = |separator: &u8| headers(text, *separator, lines, file);
-        let found = match separators.iter().map(split).collect::<Result<Vec<_>, _>>() {
-            Err(_) if is_comment => continue,
-            found => found?,
-        };
-        let with_time = found.iter().position(|names| names.iter().any(|name| name == time));
-        if is_comment && with_time.is_none() {
-            continue;
-        }
-        let longest = found.iter().map(Vec::len).max();
-        let most = found.iter().position(|names| Some(names.len()) == longest);
-        let chosen = with_time.or(most).unwrap_or_default();
-        dialect.separator = separators[chosen];
-        return Ok((found.into_iter().nth(chosen).unwrap_or_default(), dialect, lines));
-    }
-    Err(RecordingError::Empty { file: file.to_owned() })
-}
-
-fn headers(
-    text: &[u8],
-    separator: u8,
-    line: u64,
-    file: &str,
-) -> Result<Vec<String>, RecordingError> {
-    let line = usize::try_from(line).unwrap_or(usize::MAX);
-    // With a separator that is not that of the file, text may follow a closed quote.
-    let (cells, _) = std::str::from_utf8(text)
-        .map_err(|_| LineError::NotUtf8)
-        .and_then(|text| quoted_cells(text, separator))
-        .map_err(|error| at_line(&error, file, line))?;
-    Ok(cells.iter().map(|name| name.trim().to_owned()).collect())
-}
-
-fn columns_by_map(
-    headers: &[String],
-    map: &ColumnMap,
-    file: &str,
-) -> Result<Vec<Column>, RecordingError> {
-    let cell = |name: &str, sign| -> Result<Cell, RecordingError> {
-        Ok(Cell { field: field_of(headers, name, file)?, sign })
-    };
-    let columns = map.items().iter().map(|item| {
-        // A header may contain a star itself.
-        let cells = if headers.contains(&item.header) {
-            vec![cell(&item.header, None)?]
-        } else {
-            let cells = item.columns.iter().map(|factor| match factor {
-                Factor::Column(name) => cell(name, None),
-                Factor::SignOf(name) => cell(name, Some(1.0)),
-            });
-            cells.collect::<Result<_, RecordingError>>()?
-        };
-        Ok(Column { target: item.target, cells, factor: item.factor, offset: item.offset })
-    });
-    columns.collect()
-}
-
-fn columns_of_our_own(
-    headers: &[String],
-    file: &str,
-    warnings: &mut Vec<String>,
-) -> Result<Vec<Column>, RecordingError> {
-    let plain = |header, target| {
-        let field = field_of(headers, header, file)?;
-        Ok(Column { target, cells: vec![Cell { field, sign: None }], factor: 1.0, offset: 0.0 })
-    };
-    let mut columns = vec![plain("time_s", None)?];
-    let mut ignored = Vec::new();
-    for header in headers {
-        if let Some(channel) = Channel::from_key(header) {
-            columns.push(plain(header, Some(channel))?);
-        } else if header != "time_s" && !BOOKKEEPING.contains(&header.as_str()) {
-            ignored.push(format!("{header:?}"));
-        }
-    }
-    if columns.len() == 1 {
-        let (file, help) = (file.to_owned(), map_help(headers));
-        return Err(RecordingError::NoKnownColumn { file, help });
-    }
-    if !ignored.is_empty() {
-        warnings.push(format!("{file}: unknown columns were ignored: {}", ignored.join(", ")));
-    }
-    Ok(columns)
-}
-
-fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, RecordingError> {
-    let fields: Vec<usize> = (0..headers.len()).filter(|field| headers[*field] == header).collect();
-    let (file, header) = (file.to_owned(), header.to_owned());
-    match (fields.first(), fields.len()) {
-        (Some(field), 1) => Ok(*field),
-        (Some(_), count) => Err(RecordingError::AmbiguousHeader { file, header, count }),
-        (None, _) => {
-            let names = headers.iter().map(String::as_str).filter(|name| !name.is_empty());
-            let near = nearest(&header, names)
-                .map_or_else(String::new, |name| format!("did you mean {name:?}? "));
-            Err(RecordingError::HeaderNotFound { file, header, help: near + &map_help(headers) })
-        }
-    }
-}
-
-fn map_help(headers: &[String]) -> String {
-    let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
-    format!("the file has {}; name them with --map 'time_s=HEADER,...'", there.join(", "))
 }
 
 #[cfg(test)]

@@ -1,4 +1,5 @@
 use std::fmt::Write as _;
+use std::io::{self, Read as _};
 
 use super::*;
 use crate::recording::number_text;
@@ -179,25 +180,6 @@ fn comments_in_foreign_files_are_left_out_and_counted() {
     // numpy writes its header as a comment.
     let (run, _) = mapped("# t,i\n0,1\n", "time_s=# t,current_a=i").unwrap();
     assert_eq!(run.rows(), 1);
-}
-
-#[test]
-fn cells_are_split_at_commas_outside_of_quotes() {
-    let cells = |line: &str| headers(format!("{line}\n").as_bytes(), b',', 1, "f");
-    for (line, expected) in [
-        ("a,b", vec!["a", "b"]),
-        (",", vec!["", ""]),
-        (" a , b ", vec!["a", "b"]),
-        (r#""a,b",c"#, vec!["a,b", "c"]),
-        (r#""say ""x""" , 1"#, vec![r#"say "x""#, "1"]),
-        ("Torque (N\u{b7}m),x", vec!["Torque (N\u{b7}m)", "x"]),
-        (r#"5" pipe,1"#, vec![r#"5" pipe"#, "1"]),
-    ] {
-        assert_eq!(cells(line).unwrap(), expected, "{line}");
-    }
-    for open in [r#"a,"b"#, r#""a"""#] {
-        assert!(matches!(cells(open).unwrap_err(), RecordingError::Quote { .. }), "{open}");
-    }
 }
 
 /// Line ends are written as `/`.

@@ -14,6 +14,10 @@
 //! * `manifest.json` contains `"finished": false` until the run is closed; such a run is read to its last whole row.
 
 mod column_map;
+mod csv_cells;
+mod csv_columns;
+mod csv_head;
+mod csv_number;
 mod csv_read;
 mod csv_write;
 mod error;
@@ -25,6 +29,7 @@ mod parquet;
 mod recorder;
 mod row_order;
 mod run_folder;
+mod time_axis;
 
 pub use column_map::{ColumnMap, Factor, Mapping};
 pub use csv_read::{CsvRows, ReadOptions, read_csv};

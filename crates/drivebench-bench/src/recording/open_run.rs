@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::{BufReader, Cursor, Read as _, Take};
 use std::path::{Path, PathBuf};
 
-use super::csv_read::whole_rows;
+use super::csv_cells::whole_rows;
 use super::run_folder::{SAMPLES, read_text};
 use super::{
     ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read,

@@ -2,7 +2,7 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
 
 use super::*;
-use crate::recording::csv_read::whole_rows;
+use crate::recording::csv_cells::whole_rows;
 use crate::recording::{MemoryRecorder, open_run, run_from_memory};
 use drivebench_model::sample::{Applied, Channel, Command, Demand, Origin};
 
