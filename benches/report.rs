@@ -1,7 +1,7 @@
 //! The page of a run of a million rows: read from its folder, and written.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use drivebench::recording::{Manifest, RunFolder, open_run, write_run};
+use drivebench::recording::{Manifest, ReadOptions, RunFolder, open_run, write_run};
 use drivebench::report::{Context, RunReport};
 use drivebench::sample::{Channel, Origin, Run};
 
@@ -52,7 +52,7 @@ fn report(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("report");
     group.bench_function("write", |bencher| bencher.iter(|| page(&run)));
     group.bench_function("read_and_write", |bencher| {
-        bencher.iter(|| page(&open_run(folder.path(), None).expect("a run").run));
+        bencher.iter(|| page(&open_run(folder.path(), ReadOptions::default()).expect("a run").run));
     });
     group.finish();
 }

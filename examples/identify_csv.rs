@@ -11,11 +11,11 @@ use std::path::Path;
 
 use drivebench::identification::scheme::{self, Data};
 use drivebench::plant::{Model, Motor, Scenario};
-use drivebench::recording::{ColumnMap, open_run};
+use drivebench::recording::{ColumnMap, ReadOptions, open_run};
 
 /// One line for each parameter: its key, value and standard deviation.
 pub fn identify(path: &Path, map: &ColumnMap) -> Result<String, Box<dyn Error>> {
-    let run = open_run(path, Some(map))?.run;
+    let run = open_run(path, ReadOptions::mapped(map))?.run;
     let scenario = Scenario::from_run(&run)?;
     let model = Model::baseline(Motor::new("unknown"));
     let found = scheme::default_for(&scenario).identify(&Data {

@@ -3,7 +3,7 @@
 set -eu
 cd "$(dirname "$0")"
 vectors=../firmware-protocol/vectors
-rm -rf seeds
+(cd seeds && rm -rf rtu_receiver tcp_receiver stream_decoder slave_pdu)
 mkdir -p seeds/rtu_receiver seeds/tcp_receiver seeds/stream_decoder seeds/slave_pdu
 write() { # target, skip bytes at the front, skip at the end; hexadecimal lines on stdin
     number=0

@@ -18,7 +18,7 @@ use crate::runtime::output::Terminal;
 use crate::runtime::rig::{MYSTERY, RigOptions};
 use crate::runtime::{opening, output};
 use crate::workflow::ProgressCell;
-use drivebench_bench::recording::{ColumnMap, LoadedRun, resolved};
+use drivebench_bench::recording::{ColumnMap, LoadedRun, MissingValues, ReadOptions, resolved};
 use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
 use drivebench_identify::sanity;
 use drivebench_link::{Framing, Protocol, RawClient, RawSettings, Target, standard_gap_s};
@@ -29,15 +29,58 @@ pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|path| resolved(&path))
 }
 
-/// How foreign columns are read.
+/// How a foreign file is read.
 #[derive(Args, Clone, Debug, Default)]
-pub(super) struct MapArguments {
+pub(super) struct FileArguments {
     /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755; a factor may be
     /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the sign of the last nonzero command, for a speed without sign
-    /// (speed_rad_s=rpm*0.104719755*sign(duty))
+    /// (speed_rad_s=rpm*0.104719755*sign(duty)); a date and a clock in two columns are time_s=Date+Time
     #[arg(long, value_name = "MAP")]
     #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     map: Option<String>,
+    /// Lines before the header row of a foreign CSV; without it the header row is found
+    #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
+    skip: Option<u16>,
+    /// Cells that stand for a missing value, beside empty ones and NaN: '#N/A,ERR,-9999'
+    #[arg(long, value_name = "CELL,...")]
+    missing: Option<MissingValues>,
+}
+
+impl FileArguments {
+    /// The map as it is given.
+    pub(super) fn map(&self) -> Result<Option<ColumnMap>, Failure> {
+        Ok(self.map.as_deref().map(str::parse).transpose()?)
+    }
+
+    /// The options with this map.
+    pub(super) fn options<'a>(&'a self, map: Option<&'a ColumnMap>) -> ReadOptions<'a> {
+        ReadOptions {
+            map,
+            skip: self.skip.map(usize::from),
+            missing: self.missing.as_ref(),
+            in_run_folder: false,
+        }
+    }
+
+    /// The options as they are given, for the commands that follow; each with a space before it.
+    fn words(&self) -> String {
+        let skip = self.skip.map(|lines| lines.to_string());
+        let missing = self.missing.as_ref().map(ToString::to_string);
+        let options = [("map", &self.map), ("skip", &skip), ("missing", &missing)];
+        let given = options.into_iter().filter_map(|(name, text)| Some((name, text.as_deref()?)));
+        given.map(option_words).collect()
+    }
+}
+
+fn option_words((name, text): (&str, &str)) -> String {
+    format!(" --{name} {}", output::quoted_word(text))
+}
+
+/// How foreign columns are read, and where they come from.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct MapArguments {
+    #[command(flatten)]
+    file: FileArguments,
     /// Another map for the hold-out and the confirming run
     #[arg(long, value_name = "MAP")]
     map_holdout: Option<String>,
@@ -50,29 +93,26 @@ pub(super) struct MapArguments {
 impl MapArguments {
     /// Whether columns are named at all.
     pub(super) const fn is_given(&self) -> bool {
-        self.map.is_some()
+        self.file.map.is_some()
     }
 
-    /// The maps as they are given here, for the commands that follow; each with a space before it.
+    /// The options as they are given here, for the commands that follow; each with a space before it.
     pub(super) fn words(&self) -> String {
-        let option = |(name, map): (&str, &str)| format!(" --{name} {}", output::quoted_word(map));
-        let maps = [("map", &self.map), ("map-holdout", &self.map_holdout)];
-        let given = maps.into_iter().filter_map(|(name, map)| Some((name, map.as_deref()?)));
-        given.map(option).collect()
+        let holdout = self.map_holdout.as_deref().map(|map| option_words(("map-holdout", map)));
+        self.file.words() + &holdout.unwrap_or_default()
     }
 
     /// Opens the run with its map; the origins of the command line override those of a manifest.
     pub(super) fn load(&self, path: &Path, terminal: &Terminal) -> Result<LoadedRun, Failure> {
-        self.load_with(path, self.map.as_deref(), terminal)
+        self.load_with(path, self.file.map()?, terminal)
     }
 
     fn load_with(
         &self,
         path: &Path,
-        map: Option<&str>,
+        map: Option<ColumnMap>,
         terminal: &Terminal,
     ) -> Result<LoadedRun, Failure> {
-        let map = map.map(str::parse::<ColumnMap>).transpose()?;
         let items = map.as_ref().map(ColumnMap::items).unwrap_or_default();
         // A header that names another unit than its target's, with no factor in the map.
         let finding = items.iter().find_map(|item| {
@@ -84,7 +124,7 @@ impl MapArguments {
                 (words::fault(&finding.fault), words::help(&finding.fault, words::MAP));
             return Err(Failure::usage(headline, help));
         }
-        let mut loaded = load(path, map.as_ref(), terminal)?;
+        let mut loaded = load(path, self.file.options(map.as_ref()), terminal)?;
         if let Some(provenance) = &self.origin {
             provenance.apply(&mut loaded.run);
         }
@@ -222,7 +262,8 @@ impl EvidenceArguments {
         };
         let load = |path: &Path, is_other: bool| {
             let other_map = self.map.map_holdout.as_deref().filter(|_| is_other);
-            self.map.load_with(path, other_map.or(self.map.map.as_deref()), terminal)
+            let map = other_map.map_or_else(|| self.map.file.map(), |map| Ok(Some(map.parse()?)));
+            self.map.load_with(path, map?, terminal)
         };
         prepare(files, load, judging)
     }

@@ -22,6 +22,7 @@ use crate::tui::{
     StoppedAt,
 };
 use crate::workflow::{Discovery, News, Order};
+use drivebench_bench::recording::ReadOptions;
 use drivebench_diagnose::{Diagnosis, NextExperiment};
 use drivebench_identify::frequency_response::{Compared, Pathway};
 use drivebench_model::plant::FileHistory;
@@ -168,7 +169,8 @@ fn show_run(folder: &Path, opens: Opens, terminal: &Terminal) -> Result<Closed, 
         later: &[],
         for_screen: true,
     };
-    let prepared = prepare(files, |path, _| load(path, None, terminal), Judging::Refits)?;
+    let prepared =
+        prepare(files, |path, _| load(path, ReadOptions::default(), terminal), Judging::Refits)?;
     show_prepared(&prepared, prepared.about.title.clone(), opens, terminal)
 }
 

@@ -15,7 +15,7 @@ use crate::runtime::files::Recorded;
 use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::tui::Exit;
-use drivebench_bench::recording::open_run;
+use drivebench_bench::recording::{ReadOptions, open_run};
 use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock, Waivers};
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
 use drivebench_link::offer::Purpose;
@@ -339,7 +339,7 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
 
 #[track_caller]
 fn expect_whole(folder: &Path, rows: u64) {
-    let loaded = open_run(folder, None).unwrap();
+    let loaded = open_run(folder, ReadOptions::default()).unwrap();
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
     assert_eq!(loaded.run.rows() as u64, rows);
     for file in ["result.json", "model.toml", "report.html", "events.jsonl"] {

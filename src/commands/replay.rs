@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use crate::commands::arguments::run_path;
+use crate::commands::arguments::{FileArguments, run_path};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::read_text;
 use crate::runtime::output::Terminal;
-use drivebench_bench::recording::{ColumnMap, RunFile, RunFolder, RunRows};
+use drivebench_bench::recording::{ReadOptions, RunFile, RunFolder, RunRows};
 use drivebench_bench::{Difference, OnlineResult, OnlineSettings, first_difference, replay};
 use drivebench_identify::online::OnlineConfig;
 use drivebench_model::sample::Channel;
@@ -23,10 +23,8 @@ pub(super) struct Arguments {
     /// Run folder, samples.csv, or any CSV with --map
     #[arg(value_parser = run_path())]
     run: PathBuf,
-    /// Columns of a foreign CSV: 'target=header[*factor][+offset],...', as time_s=t,speed_rad_s=rpm*0.104719755
-    #[arg(long, value_name = "MAP")]
-    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
-    map: Option<String>,
+    #[command(flatten)]
+    file: FileArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -34,10 +32,10 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let _endable = terminal.endable()?;
-    let map = arguments.map.as_deref().map(str::parse::<ColumnMap>);
+    let map = arguments.file.map()?;
     let shown = terminal.progress("replay");
     terminal.stage("runs the estimators over the record", 0);
-    let result = replayed(&arguments.run, map.transpose()?.as_ref(), terminal)?;
+    let result = replayed(&arguments.run, arguments.file.options(map.as_ref()), terminal)?;
     drop(shown);
     terminal.result(&result, arguments.json, text)?;
     let Some(Difference { key, live, replayed }) = &result.first_difference else {
@@ -97,8 +95,12 @@ struct Replayed {
 }
 
 /// Runs the estimators over a run and compares with the live estimates.
-fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<Replayed, Failure> {
-    let mut rows = RunRows::open(run, map)?;
+fn replayed(
+    run: &Path,
+    options: ReadOptions<'_>,
+    terminal: &Terminal,
+) -> Result<Replayed, Failure> {
+    let mut rows = RunRows::open(run, options)?;
     let (settings, configuration_from) = settings(&rows)?;
     let estimator = replay(|| rows.rows.next_row(), OnlineConfig::from(settings))?;
     if let Some(dialect) = rows.rows.dialect() {
@@ -108,7 +110,7 @@ fn replayed(run: &Path, map: Option<&ColumnMap>, terminal: &Terminal) -> Result<
     warnings.extend(missing_channels(&rows));
     terminal.warn(&warnings);
     let online = estimator.result();
-    let live = live_result(&rows, map.is_some()).and_then(|live| {
+    let live = live_result(&rows, options.map.is_some()).and_then(|live| {
         let is_known = configuration_from == "manifest";
         let reason = "the manifest does not hold the configuration of the live estimators";
         is_known.then_some(live).ok_or_else(|| reason.to_owned())

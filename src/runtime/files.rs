@@ -11,7 +11,7 @@ use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use crate::runtime::output::{self, Terminal};
 use drivebench_bench::recording::{
-    self, ColumnKind, ColumnMap, Kept, KeptLogs, LATEST, LoadedRun, Manifest, RecordingError,
+    self, ColumnKind, Kept, KeptLogs, LATEST, LoadedRun, Manifest, ReadOptions, RecordingError,
     RunFile, RunFolder, open_run, run_from_memory, write_run,
 };
 use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
@@ -24,10 +24,10 @@ use drivebench_model::sample::ParameterEstimate;
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(
     path: &Path,
-    map: Option<&ColumnMap>,
+    options: ReadOptions<'_>,
     terminal: &Terminal,
 ) -> Result<LoadedRun, Failure> {
-    complete(open_run(path, map)?, terminal)
+    complete(open_run(path, options)?, terminal)
 }
 
 /// Marks values that cannot be measurements as missing, derives the speed from the angle where there is none, and prints the
@@ -223,7 +223,7 @@ impl Recorded {
     pub(crate) fn load(&self) -> Result<LoadedRun, Failure> {
         let path = self.folder.path();
         let from_disk = match &self.incomplete {
-            None => load(path, None, &self.terminal),
+            None => load(path, ReadOptions::default(), &self.terminal),
             Some(reason) => Err(Failure::internal(reason.clone())),
         };
         from_disk.or_else(|failure| {
@@ -239,7 +239,7 @@ impl Recorded {
     /// The burst as it is kept on the disk, with its path.
     pub(crate) fn burst(&self) -> Option<(&Path, Result<Scenario, Failure>)> {
         let path = self.capture.as_deref()?;
-        let burst = load(path, None, &self.terminal)
+        let burst = load(path, ReadOptions::default(), &self.terminal)
             .and_then(|loaded| Ok(Scenario::from_run(&loaded.run)?));
         Some((path, burst))
     }

@@ -22,7 +22,7 @@ use drivebench::plant::{
     ActiveEffect, Effect, Input, Instant, Model, Motor, MotorKey, Plant, Scenario, ShaftAngle,
     State, effect,
 };
-use drivebench::recording::{ColumnMap, open_run};
+use drivebench::recording::{ColumnMap, ReadOptions, open_run};
 use drivebench::report::wording::candidate::evidence as evidence_of;
 use drivebench::report::wording::change::change;
 use drivebench::report::wording::diagnosis::diagnosis as sentence;
@@ -552,7 +552,8 @@ mod real {
     fn evidence(file: &str, map: &str) -> Evidence {
         let folder = std::env::var_os("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
         let map: ColumnMap = map.parse().unwrap();
-        let loaded = open_run(&PathBuf::from(folder).join(file), Some(&map)).unwrap();
+        let loaded =
+            open_run(&PathBuf::from(folder).join(file), ReadOptions::mapped(&map)).unwrap();
         let run = speed_from_angle::complete(&loaded.run).unwrap();
         Evidence::new(Scenario::from_run(&run).unwrap(), None, None)
     }
@@ -666,7 +667,7 @@ mod real {
         ] {
             for part in ["train", "holdout"] {
                 let path = format!("{folder}/hidden-effects/set{set:02}_{part}.csv");
-                let run = open_run(path.as_ref(), None).unwrap().run;
+                let run = open_run(path.as_ref(), ReadOptions::default()).unwrap().run;
                 let found = maps(&Scenario::from_run(&run).unwrap());
                 let first = &found[0];
                 assert_eq!((first.equation, first.axis), (equation, axis), "{set}: {first:?}");

@@ -23,7 +23,7 @@ use std::path::PathBuf;
 use drivebench::diagnosis::{Diagnosis, Evidence, add, diagnose};
 use drivebench::emulator::truth::effect::HiddenEffect;
 use drivebench::plant::{Model, Scenario, effect};
-use drivebench::recording::open_run;
+use drivebench::recording::{ReadOptions, open_run};
 use drivebench::report::wording::change::change;
 use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use rayon::prelude::*;
@@ -282,7 +282,7 @@ fn doses_in_the_runs_of_another_simulator_are_found() {
     let data = std::env::var_os("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
     let folder = PathBuf::from(data).join("hidden-effects");
     let run = |name: &str| -> Scenario {
-        let loaded = open_run(&folder.join(name), None).unwrap();
+        let loaded = open_run(&folder.join(name), ReadOptions::default()).unwrap();
         Scenario::from_run(&loaded.run).unwrap()
     };
     let data = Evidence::new(run("set01_train.csv"), Some(run("set01_holdout.csv")), None);

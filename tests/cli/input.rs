@@ -108,6 +108,57 @@ fn another_dialect_of_csv_gives_the_same_motor() {
     }
 }
 
+/// As a logger on a PC exports it: text and units in the head, date and clock over midnight, a text for missing values, and
+/// the rows of the rotated file before it once more.
+#[test]
+fn a_log_with_dates_units_and_repeats_gives_the_same_motor() {
+    let (desk, rows) = (Desk::new(), rows());
+    let own = desk.identify(&csv(HEADER, &rows), "").expect(0).json();
+    let milli = |cell: &str| {
+        let value = cell.parse::<f64>().map(|value| (value * 1e3).to_string());
+        value.unwrap_or_else(|_| "ERR".to_owned())
+    };
+    let lines: Vec<String> = rows
+        .iter()
+        .map(|[time, volts, amps, speed]| {
+            let time_s = format!("{:.9}", 86_399.0 + time.parse::<f64>().unwrap());
+            let (s, fraction) = time_s.split_once('.').unwrap();
+            let s: u32 = s.parse().unwrap();
+            let (day, hour, minute) = (5 + s / 86_400, s / 3600 % 24, s / 60 % 60);
+            let clock = format!("{hour:02}:{minute:02}:{:02}.{fraction}", s % 60);
+            format!("0{day}/05/2024;{clock};{};{};{speed}\n", milli(volts), milli(amps))
+        })
+        .collect();
+    let again = lines[60..].concat();
+    let text = format!(
+        "Logger;V2.1\nRun of the morning\n\nDate;Time;u;i;w\n;;mV;mA;rad/s\n{}{again}",
+        lines[..100].concat()
+    );
+    let map = "time_s=Date+Time,voltage_cmd_v=u,current_a=i,speed_rad_s=w";
+    let done = desk.identify(&text, &format!("--map {map} --missing ERR --skip 3")).expect(0);
+    has(
+        &done.stderr,
+        &[
+            "2 lines with text stand before the header row, a row of units stands under the headers",
+            "names mA for column \"i\": current_a is the column times 0.001",
+            "time_s counts the seconds since midnight of 2024-05-05",
+            "40 rows repeat earlier rows exactly (from line 106 on) and were left out",
+        ],
+    );
+    let found = done.json();
+    assert_eq!(found["rows"].as_u64(), Some(rows.len() as u64));
+    has(&found["notes"].to_string(), &["midnight of 2024-05-05", "40 rows repeat"]);
+    for key in ["resistance_ohm", "back_emf_v_s_per_rad"] {
+        let ours = parameter(&own, key).unwrap();
+        expect_near(key, parameter(&found, key), ours, 0.05);
+    }
+    // The text is named with the option that reads it, and the next command keeps the options.
+    let error = desk.identify(&text, &format!("--map {map}")).expect(2).error();
+    has(&error, &["row ", "column \"", "\"ERR\" is not a number", "--missing 'ERR'"]);
+    let text = desk.on(&format!("identify {{}} --map {map} --missing ERR"), &text).expect(0).stdout;
+    has(&text, &["--missing ERR"]);
+}
+
 #[test]
 fn a_torn_last_row_is_a_warning_and_a_torn_middle_an_error() {
     let (desk, rows) = (Desk::new(), rows());
@@ -133,8 +184,8 @@ fn files_without_data_are_status_2_with_the_name() {
         assert!(error.contains("log.csv"), "{text:?}: {error}");
     }
     call("identify {}", &[&desk.path("missing.csv")]).fails(2, &["missing.csv"]);
-    let repeated = format!("{HEADER}0,1,1,1\n0,1,1,1\n");
-    desk.identify(&repeated, "").fails(2, &["strictly increasing"]);
+    let falling = format!("{HEADER}2,1,1,1\n0,1,1,1\n-3,1,1,1\n");
+    desk.identify(&falling, "").fails(2, &["strictly increasing", "name another with --map"]);
     let no_number = format!("{HEADER}0,1,1,fast\n1,1,1,1\n");
     desk.identify(&no_number, "").fails(2, &["fast"]);
 }

@@ -6,7 +6,7 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 24_710),
+    ("crates/drivebench-bench", 27_400),
     ("crates/drivebench-control", 6_690),
     ("crates/drivebench-diagnose", 21_430),
     ("crates/drivebench-emulator", 12_470),

@@ -21,7 +21,7 @@ use crate::workflow::suite::{
     StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
 };
 use drivebench_bench::BenchFile;
-use drivebench_bench::recording::open_run;
+use drivebench_bench::recording::{ReadOptions, open_run};
 use drivebench_model::sample::Channel;
 
 pub(super) struct Bench<'a> {
@@ -562,7 +562,7 @@ fn newest(runs: &Path, before: &BTreeSet<PathBuf>) -> Option<PathBuf> {
 
 fn signal_check(signal: &SignalLimit, run: Option<&Path>) -> Result<Check, String> {
     let run = run.ok_or("signal: no run was recorded")?;
-    let loaded = open_run(run, None).map_err(|error| error.to_string())?;
+    let loaded = open_run(run, ReadOptions::default()).map_err(|error| error.to_string())?;
     let channel = Channel::from_key(&signal.channel)
         .ok_or_else(|| format!("signal: there is no channel {:?}", signal.channel))?;
     let begin_s = loaded.run.time_s().first().copied().unwrap_or(0.0);

@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use drivebench_identify::sanity::{
-    Basis, ColumnFault, Evidence, Fault, Finding, LONGEST_ARMATURE_S, Level, Mapping, Masked,
+    ARMATURE_S, Basis, ColumnFault, Evidence, Fault, Finding, Level, Mapping, Masked,
     SignalFault, UnitFault,
 };
 use drivebench_model::plant::MotorKey;
@@ -297,10 +297,17 @@ fn unit(fault: &UnitFault) -> String {
             "{}; one of them is in another unit (counts?), or on the other side of a gear",
             over(over_angle)
         ),
-        UnitFault::TimeInMs { period_s, time_constant_s } => format!(
-            "time_s seems to be in ms, not in s (a factor 1000): the rows are {period_s:.4} s apart and the armature would \
-             have a time constant L/R of {time_constant_s:.2} s, while none exceeds {LONGEST_ARMATURE_S} s"
-        ),
+        UnitFault::Armature { unit, to_s, period_s, time_constant_s } => {
+            let digits =
+                |of: &f64| if *of < 1e-3 { format!("{of:.3e}") } else { format!("{of:.4}") };
+            let [shortest_s, longest_s] = ARMATURE_S;
+            format!(
+                "time_s seems to be in {unit}, not in s (a factor {to_s} converts it): the rows are {} s apart and the \
+                 armature would have a time constant L/R of {} s, while all are between {shortest_s:e} and {longest_s} s",
+                digits(period_s),
+                digits(time_constant_s)
+            )
+        }
         UnitFault::OtherBasis { evidence: own, basis: of } => {
             format!("{}: has the column {}?", evidence(own), basis(*of))
         }
@@ -407,7 +414,9 @@ fn help_for_unit(fault: &UnitFault, map: &str) -> String {
             format!("turn one of them with {map} angle_rad=COLUMN*-1")
         }
         UnitFault::AngleDisagrees { .. } => "map the angle in rad, or leave it out".to_owned(),
-        UnitFault::TimeInMs { .. } => format!("convert it with {map} time_s=COLUMN*0.001"),
+        UnitFault::Armature { to_s, .. } => {
+            format!("convert it with {map} time_s=COLUMN*{to_s}")
+        }
         UnitFault::OtherBasis { .. } => {
             "check on which basis the nameplate and the columns are given".to_owned()
         }

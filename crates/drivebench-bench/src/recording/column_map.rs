@@ -70,7 +70,7 @@ impl FromStr for ColumnMap {
 }
 
 /// Splits at separators outside of double quotes.
-fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
+pub(super) fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
     let mut is_quoted = false;
     text.split(|letter| {
         is_quoted ^= letter == '"';

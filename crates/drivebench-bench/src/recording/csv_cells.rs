@@ -3,25 +3,28 @@
 //! The memory does not grow with the file: a line has at most [`LONGEST_LINE`] bytes. A quoted cell holds no line break, so
 //! that a torn line never swallows others: the csv reader ignores quotes, and a line with quotes is split once more.
 
-use std::io::{self, BufRead, Read, Seek, SeekFrom};
+use std::io::{self, Chain, Cursor, Read, Seek, SeekFrom};
 
 use super::RecordingError;
+use super::csv_head::Head;
 
 /// Longest row, bytes.
-const LONGEST_LINE: u64 = 1 << 20;
+pub(super) const LONGEST_LINE: u64 = 1 << 20;
 
-/// The lines after the header, each split into its cells.
+/// The lines behind the head, each split into its cells.
 pub(super) struct Cells<R> {
-    reader: csv::Reader<Bounded<R>>,
+    reader: csv::Reader<Bounded<Chain<Cursor<Vec<u8>>, R>>>,
     separator: u8,
     record: csv::StringRecord,
-    /// Lines up to the header.
+    /// Lines up to here.
     lines_before: u64,
 }
 
 /// Fails where a line is too long.
 struct Bounded<R> {
     inner: R,
+    /// Lines end with carriage returns alone, which are read as line feeds.
+    has_carriage_returns: bool,
     /// Bytes since the last line feed.
     length: u64,
     is_over: bool,
@@ -35,6 +38,9 @@ impl<R: Read> Read for Bounded<R> {
                 read => break read?,
             }
         };
+        if self.has_carriage_returns {
+            feed_for_return(&mut buffer[..count]);
+        }
         let feed = buffer[..count].iter().rposition(|byte| *byte == b'\n');
         let open = count - feed.map_or(0, |at| at + 1);
         self.length = open as u64 + if feed.is_some() { 0 } else { self.length };
@@ -44,6 +50,11 @@ impl<R: Read> Read for Bounded<R> {
         }
         Ok(count)
     }
+}
+
+/// Line feeds for carriage returns.
+pub(super) fn feed_for_return(bytes: &mut [u8]) {
+    bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
 }
 
 /// A line that cannot be split into cells.
@@ -68,17 +79,33 @@ impl From<csv::Error> for LineError {
     }
 }
 
-impl<R: BufRead> Cells<R> {
-    pub(super) fn behind_header(inner: R, separator: u8, lines_before: u64) -> Self {
+impl<R: Read> Cells<R> {
+    /// Lines of `ahead`, which was read before, then of `inner`.
+    pub(super) fn new(ahead: Vec<u8>, inner: R, head: &Head) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             .quoting(false)
-            .delimiter(separator)
+            .delimiter(head.separator)
             .terminator(csv::Terminator::Any(b'\n'))
             .buffer_capacity(1 << 16)
-            .from_reader(Bounded { inner, length: 0, is_over: false });
-        Self { reader, separator, record: csv::StringRecord::new(), lines_before }
+            .from_reader(Bounded {
+                inner: Cursor::new(ahead).chain(inner),
+                has_carriage_returns: head.has_carriage_returns,
+                length: 0,
+                is_over: false,
+            });
+        Self {
+            reader,
+            separator: head.separator,
+            record: csv::StringRecord::new(),
+            lines_before: head.data_line,
+        }
+    }
+
+    /// What was read before.
+    pub(super) fn ahead(&self) -> &[u8] {
+        self.reader.get_ref().inner.get_ref().0.get_ref()
     }
 
     /// Reads the next line that is not blank; `false` at the end of the file.
@@ -114,20 +141,15 @@ impl<R: BufRead> Cells<R> {
         self.record.len()
     }
 
+    /// Cells of the present line.
+    pub(super) fn iter(&self) -> impl Iterator<Item = &str> {
+        self.record.iter().map(str::trim)
+    }
+
     /// A cell of the present line, without blanks at its ends.
     pub(super) fn get(&self, field: usize) -> &str {
         self.record[field].trim()
     }
-}
-
-/// The next line with its line end; 0 at the end of the file.
-pub(super) fn read_line(reader: &mut impl BufRead, line: &mut Vec<u8>) -> Result<usize, LineError> {
-    let mut limited = reader.take(LONGEST_LINE);
-    let count = limited.read_until(b'\n', line).map_err(LineError::Io)?;
-    if limited.limit() == 0 && line.last() != Some(&b'\n') {
-        return Err(LineError::TooLong);
-    }
-    Ok(count)
 }
 
 /// The cells of a line with quotes, and whether text follows a closed quote, which belongs to the cell then: `"1"2`.

@@ -1,6 +1,8 @@
 //! Which cells of a line are the time and the quantities: by a map, or by our own headers.
 
-use super::{ColumnMap, Factor, RecordingError};
+use super::csv_head::Head;
+use super::{ColumnMap, Factor, Mapping, RecordingError};
+use drivebench_identify::sanity::{ColumnUnit, unit_of};
 use drivebench_model::config_text::nearest;
 use drivebench_model::sample::Channel;
 
@@ -16,12 +18,60 @@ pub(super) struct Column {
     pub cells: Vec<Cell>,
     pub factor: f64,
     pub offset: f64,
+    /// The map gives a factor or an offset.
+    pub scaled: bool,
+    /// The cells are a date and a clock.
+    pub is_date_and_clock: bool,
+}
+
+impl Default for Column {
+    fn default() -> Self {
+        let (cells, is_date_and_clock) = (Vec::new(), false);
+        Self { target: None, cells, factor: 1.0, offset: 0.0, scaled: false, is_date_and_clock }
+    }
+}
+
+impl Column {
+    pub(super) fn key(&self) -> &'static str {
+        self.target.map_or("time_s", Channel::key)
+    }
 }
 
 pub(super) struct Cell {
     pub field: usize,
     /// Only the sign of the cell counts: that of its last value that was not zero, +1 before there is one.
     pub sign: Option<f64>,
+}
+
+/// How many of the wanted columns are among the headers; 0 where the time is not. Without a map our own are wanted.
+pub(super) fn wanted(map: Option<&ColumnMap>, headers: &[String]) -> usize {
+    let has = |name: &str| headers.iter().any(|header| header == name);
+    let Some(map) = map else {
+        let channels = headers.iter().filter(|name| Channel::from_key(name).is_some()).count();
+        return if has("time_s") { 1 + channels } else { 0 };
+    };
+    let is_there = |item: &Mapping| {
+        has(&item.header)
+            || item.columns.iter().all(|factor| match factor {
+                Factor::Column(name) | Factor::SignOf(name) => has(name),
+            })
+            || item.target.is_none() && date_and_clock(&item.header, headers).is_some()
+    };
+    let (times, others): (Vec<&Mapping>, Vec<_>) =
+        map.items().iter().partition(|item| item.target.is_none());
+    let has_time = times.into_iter().all(is_there);
+    let others = others.into_iter().filter(|item| is_there(item)).count();
+    if has_time { 1 + others } else { 0 }
+}
+
+/// The columns of a date and a clock that are named together, as `Date+Time`.
+fn date_and_clock<'a>(header: &'a str, headers: &[String]) -> Option<[&'a str; 2]> {
+    let name = |part: &'a str| {
+        let name = part.trim().trim_matches('"');
+        headers.iter().any(|header| header == name).then_some(name)
+    };
+    let mut places = header.match_indices('+').map(|(at, _)| (&header[..at], &header[at + 1..]));
+    places.find_map(|(date, clock)| Some([name(date)?, name(clock)?]))
 }
 
 pub(super) fn columns_by_map(
@@ -33,9 +83,14 @@ pub(super) fn columns_by_map(
         Ok(Cell { field: field_of(headers, name, file)?, sign })
     };
     let columns = map.items().iter().map(|item| {
-        // A header may contain a star itself.
-        let cells = if headers.contains(&item.header) {
+        let pair = date_and_clock(&item.header, headers).filter(|_| item.target.is_none());
+        // A header may contain a star or a plus itself.
+        let is_one = headers.contains(&item.header);
+        let is_date_and_clock = !is_one && pair.is_some();
+        let cells = if is_one {
             vec![cell(&item.header, None)?]
+        } else if let Some([date, clock]) = pair {
+            vec![cell(date, None)?, cell(clock, None)?]
         } else {
             let cells = item.columns.iter().map(|factor| match factor {
                 Factor::Column(name) => cell(name, None),
@@ -43,9 +98,47 @@ pub(super) fn columns_by_map(
             });
             cells.collect::<Result<_, RecordingError>>()?
         };
-        Ok(Column { target: item.target, cells, factor: item.factor, offset: item.offset })
+        let Mapping { target, factor, offset, scaled, .. } = *item;
+        Ok(Column { target, cells, factor, offset, scaled, is_date_and_clock })
     });
     columns.collect()
+}
+
+/// Converts the columns to the units of their targets by a row of units, where the map has no factor; a factor that differs
+/// and an unknown unit are warned of. Returns a sentence for each.
+pub(super) fn convert(columns: &mut [Column], head: &Head) -> Vec<String> {
+    let mut sentences = Vec::new();
+    for column in columns {
+        let [Cell { field, sign: None }] = column.cells[..] else { continue };
+        let (Some(unit), header) = (head.units.get(field), &head.headers[field]) else { continue };
+        let target = column.key();
+        let known = unit_of(target, unit);
+        let factor = known.map_or(1.0, |unit| unit.factor.parse().unwrap_or(1.0));
+        sentences.push(match known {
+            // A clock has no unit.
+            None if unit.is_empty() || column.target.is_none() => continue,
+            None => format!(
+                "the row of units under the headers names {unit:?} for column {header:?}, which is no known unit of {target}: the column is read as it stands"
+            ),
+            Some(ColumnUnit { name, factor: text }) if column.scaled => {
+                if (column.factor.abs() / factor - 1.0).abs() < 0.01 {
+                    continue;
+                }
+                format!(
+                    "the row of units under the headers names {name} for column {header:?}, that is a factor {text} to {target}, and the map gives {}: the map is followed",
+                    column.factor
+                )
+            }
+            Some(unit) if unit.factor == "1" => continue,
+            Some(ColumnUnit { name, factor: text }) => {
+                column.factor *= factor;
+                format!(
+                    "the row of units under the headers names {name} for column {header:?}: {target} is the column times {text}"
+                )
+            }
+        });
+    }
+    sentences
 }
 
 pub(super) fn columns_of_our_own(
@@ -55,7 +148,8 @@ pub(super) fn columns_of_our_own(
 ) -> Result<Vec<Column>, RecordingError> {
     let plain = |header, target| {
         let field = field_of(headers, header, file)?;
-        Ok(Column { target, cells: vec![Cell { field, sign: None }], factor: 1.0, offset: 0.0 })
+        let cells = vec![Cell { field, sign: None }];
+        Ok(Column { target, cells, ..Column::default() })
     };
     let mut columns = vec![plain("time_s", None)?];
     let mut ignored = Vec::new();
@@ -92,6 +186,13 @@ fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, Recor
 }
 
 fn map_help(headers: &[String]) -> String {
+    if headers.iter().all(|name| name.is_empty() || name.parse::<f64>().is_ok()) {
+        let names: Vec<String> = (1..=headers.len()).map(|place| format!("c{place}")).collect();
+        return format!(
+            "the file has no header row: write one before its first line, as sed '1i {}' FILE > named.csv does",
+            names.join(",")
+        );
+    }
     let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
     format!("the file has {}; name them with --map 'time_s=HEADER,...'", there.join(", "))
 }

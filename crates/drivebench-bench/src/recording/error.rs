@@ -4,13 +4,27 @@ use std::path::Path;
 
 use thiserror::Error;
 
+use super::csv_number::NoNumber;
+use super::csv_time::is_date;
+use drivebench_identify::sanity::{ColumnUnit, is_unit};
 use drivebench_model::sample::{LARGEST, RunError};
+
+/// What mends a time that is not increasing.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Remedy {
+    /// Sorted by this column, all rows are in order.
+    Sort { column: String },
+    /// The rows up to this line are in order.
+    Cut { line: usize },
+    /// Another column is the time.
+    Column,
+}
 
 /// Error of a row of a CSV; the text follows the row's number.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RowProblem {
     #[error(": time {time_s} s is not after {before_s} s (time must be strictly increasing)")]
-    TimeNotIncreasing { time_s: f64, before_s: f64 },
+    TimeNotIncreasing { time_s: f64, before_s: f64, remedy: Remedy },
     #[error(": no time in column {column:?}")]
     TimeMissing { column: String },
     #[error(": {found} cells, the header has {expected}")]
@@ -18,9 +32,105 @@ pub enum RowProblem {
     #[error(
         ", column {column:?}: {text:?} is not a number (allowed: a finite number with a decimal point, NaN or an empty cell)"
     )]
-    NotANumber { column: String, text: String },
+    NotANumber { column: String, text: String, form: NoNumber },
+    #[error(
+        ", column {column:?}: {text:?} is neither a number nor a date and time (read are 1.5, 2024-05-06T11:59:55.002, 06.05.2024 11:59:55, 11:59:55.5, 1:02:03 PM and the like)"
+    )]
+    NotATime { column: String, text: String },
+    #[error(
+        ", column {column:?}: {text:?} is a date or a clock, which is read in seconds, and the map gives it a factor"
+    )]
+    FactorOfStamp { column: String, text: String },
     #[error(", column {column:?}: {value:e} is not allowed (expected a size up to {LARGEST:e})")]
     TooLarge { column: String, value: f64 },
+    #[error(": NUL bytes, as a write that was cut off leaves them behind")]
+    Nul,
+    #[error(": a second row of texts under the header row, in which no known unit stands")]
+    SecondHeader,
+    #[error(": here a block of text after the data begins")]
+    Footer,
+}
+
+impl RowProblem {
+    pub(super) fn not_a_number(column: &str, text: &str, form: NoNumber) -> Self {
+        Self::NotANumber { column: column.to_owned(), text: excerpt(text), form }
+    }
+
+    pub(super) fn not_a_time(column: &str, text: &str) -> Self {
+        Self::NotATime { column: column.to_owned(), text: excerpt(text) }
+    }
+
+    fn help(&self, row: usize, line: usize) -> String {
+        let leave_out = || format!("sed '{line}d' FILE > whole.csv leaves the row out");
+        match self {
+            Self::TimeNotIncreasing { remedy: Remedy::Sort { column }, .. } => {
+                format!("sort the rows by column {column:?}: then all of them rise in usual steps")
+            }
+            Self::TimeNotIncreasing { remedy: Remedy::Cut { line }, .. } => {
+                format!("the rows before it are in order: head -n {line} FILE > part.csv keeps them")
+            }
+            Self::TimeNotIncreasing { remedy: Remedy::Column, .. } => {
+                "is this the time column? name another with --map time_s=HEADER".into()
+            }
+            Self::FieldCount { .. } if row == 1 => {
+                "write one name for each cell of the rows into the header row; a line sep=; before it names another separator".into()
+            }
+            Self::Footer => format!("head -n {} FILE > data.csv keeps the data", line - 1),
+            Self::TooLarge { .. } => CHECK_CELL.into(),
+            Self::Nul => "tr -d '\\000' < FILE > whole.csv removes them".into(),
+            Self::FactorOfStamp { column, .. } => {
+                format!("write --map time_s={column} without a factor")
+            }
+            Self::NotATime { column, text } if is_date(text) => {
+                format!("name the column of the clock too: --map 'time_s={column}+CLOCK'")
+            }
+            Self::NotATime { .. } if row == 1 => {
+                "name a column of numbers, or of dates in one of these forms, with --map time_s=HEADER".into()
+            }
+            Self::NotATime { .. }
+            | Self::TimeMissing { .. }
+            | Self::FieldCount { .. }
+            | Self::SecondHeader => leave_out(),
+            Self::NotANumber { text, form, .. } => help_for_text(text, *form),
+        }
+    }
+}
+
+/// The first letters of a cell.
+fn excerpt(text: &str) -> String {
+    let begin: String = text.chars().take(60).collect();
+    if begin.len() < text.len() { begin + "..." } else { begin }
+}
+
+/// What to write instead of a text that is no number.
+fn help_for_text(text: &str, form: NoNumber) -> String {
+    let digits = text.trim_start_matches(['+', '-']);
+    let number = digits.find(|c: char| !(c.is_ascii_digit() || ".,".contains(c)));
+    let (number, unit) = digits.split_at(number.unwrap_or(digits.len()));
+    match form {
+        NoNumber::OtherMark => "write the cell with the decimal mark of the others".into(),
+        NoNumber::Ambiguous => {
+            let (thousands, decimals) = (text.replace(',', ""), text.replace(',', "."));
+            format!(
+                "write {thousands} if the comma parts thousands, {decimals} if it is the decimal mark"
+            )
+        }
+        NoNumber::Text if text.starts_with("0x") => "write the number in decimal digits".into(),
+        NoNumber::Text if !number.is_empty() && is_unit(unit) => {
+            format!("write the numbers without their unit {:?}", unit.trim())
+        }
+        NoNumber::Text if text.contains(':') && !number.is_empty() => {
+            "is this the column of the time? name it with --map time_s=HEADER".into()
+        }
+        // What one argument of a shell holds.
+        NoNumber::Text if text.contains(['\'', '"']) || text.ends_with("...") => {
+            "leave a missing value empty or write NaN".into()
+        }
+        NoNumber::Text => {
+            let item = if text.contains(',') { format!("\"{text}\"") } else { text.to_owned() };
+            format!("if it stands for a missing value, --missing '{item}' reads it so")
+        }
+    }
 }
 
 const CHECK_CELL: &str = "check the cell and the unit of its column; leave a damaged cell empty";
@@ -53,6 +163,16 @@ pub enum RecordingError {
     Quote { file: String, line: usize },
     #[error("{file}: line {line}: the text is not UTF-8")]
     NotUtf8 { file: String, line: usize },
+    #[error("{file}: the text is UTF-16, and UTF-8 is read")]
+    Utf16 { file: String, encoding: &'static str },
+    #[error("{file}: this is {form}, and no text table")]
+    NotText { file: String, form: &'static str },
+    #[error("{file}: no line is left behind the {skip} that --skip leaves out")]
+    SkippedAll { file: String, skip: usize },
+    #[error(
+        "{file}: column {column:?} is in {}, not in s: its first value is {first}", unit.name
+    )]
+    TimeUnit { file: String, column: String, first: f64, unit: ColumnUnit },
     #[error("{file}: line {line} is longer than {most} bytes, the most that a row may have")]
     LineTooLong { file: String, line: usize, most: u64 },
     #[error("{file}: the file is empty (a header row and data rows are needed)")]
@@ -85,17 +205,20 @@ impl RecordingError {
             }
             Self::MapWithoutTime => "add time_s=HEADER, for instance time_s=t".into(),
             Self::AmbiguousHeader { .. } => "rename one of the columns in the file".into(),
-            Self::Row { problem, .. } => match problem {
-                RowProblem::TimeNotIncreasing { .. } => "sort the rows by time and remove repeated ones; is this the time column?",
-                RowProblem::TimeMissing { .. } => "remove the row or give it a time",
-                RowProblem::FieldCount { .. } => "only the last row of a file may be torn; a separator other than the comma, or a decimal comma, also looks like this",
-                RowProblem::TooLarge { .. } => CHECK_CELL,
-                RowProblem::NotANumber { .. } => "leave a missing value empty or write NaN; numbers have a decimal point and no unit",
-            }
-            .into(),
+            Self::Row { problem, row, line, .. } => problem.help(*row, *line),
             Self::Quote { .. } => "a quoted cell must begin and end on one line, with nothing but its separator after it".into(),
             Self::LineTooLong { .. } => "rows end with a line feed; is this a text file?".into(),
-            Self::NotUtf8 { .. } => "save the file as CSV in UTF-8".into(),
+            Self::NotUtf8 { .. } => {
+                "iconv -f WINDOWS-1252 -t UTF-8 FILE > utf8.csv converts a text of Western Europe".into()
+            }
+            Self::Utf16 { encoding, .. } => {
+                format!("iconv -f {encoding} -t UTF-8 FILE > utf8.csv converts it")
+            }
+            Self::NotText { .. } => "export or unpack it as a text table (CSV)".into(),
+            Self::SkippedAll { .. } => "--skip counts the lines before the header row".into(),
+            Self::TimeUnit { column, unit, .. } => {
+                format!("convert it with --map time_s={column}*{}", unit.factor)
+            }
             Self::Empty { .. } | Self::NoRows { .. } => {
                 "nothing was recorded; give another run".into()
             }

@@ -19,10 +19,12 @@ mod csv_columns;
 mod csv_head;
 mod csv_number;
 mod csv_read;
+mod csv_time;
 mod csv_write;
 mod error;
 mod journal;
 mod manifest;
+mod missing_values;
 mod open_run;
 #[cfg(feature = "parquet")]
 mod parquet;
@@ -32,11 +34,13 @@ mod run_folder;
 mod time_axis;
 
 pub use column_map::{ColumnMap, Factor, Mapping};
+pub use csv_number::NoNumber;
 pub use csv_read::{CsvRows, ReadOptions, read_csv};
 pub use csv_write::{ColumnKind, Layout, Row, number_text, write_run};
-pub use error::{RecordingError, RowProblem};
+pub use error::{RecordingError, Remedy, RowProblem};
 pub use journal::{Event, MemoryRecorder, Record, RecorderStatus};
 pub use manifest::{Machine, Manifest};
+pub use missing_values::MissingValues;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;

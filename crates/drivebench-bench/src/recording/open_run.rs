@@ -6,9 +6,7 @@ use std::path::{Path, PathBuf};
 
 use super::csv_cells::whole_rows;
 use super::run_folder::{SAMPLES, read_text};
-use super::{
-    ColumnMap, CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read,
-};
+use super::{CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read};
 use drivebench_model::sample::{Channel, Origin, Run};
 
 /// A run with its manifest.
@@ -37,8 +35,8 @@ pub struct RunRows {
 }
 
 impl RunRows {
-    /// Opens a run and reads its header. Without `map` the headers must be those of our own `samples.csv`.
-    pub fn open(path: &Path, map: Option<&ColumnMap>) -> Result<Self, RecordingError> {
+    /// Opens a run and reads its header. Without a map the headers must be those of our own `samples.csv`.
+    pub fn open(path: &Path, options: ReadOptions<'_>) -> Result<Self, RecordingError> {
         let is_folder = path.is_dir();
         if is_folder && !path.join(SAMPLES).exists() {
             return Err(no_run(path));
@@ -50,7 +48,7 @@ impl RunRows {
         let io = |doing, error| RecordingError::io(&samples, doing, &error);
         let mut file = File::open(&samples).map_err(|error| io("open", error))?;
         let name = path.display().to_string();
-        let options = ReadOptions { map, in_run_folder: folder.is_some() };
+        let options = ReadOptions { in_run_folder: folder.is_some(), ..options };
         // Only a record ends every row with a line feed; another file may be a pipe.
         let (length, ends_torn) = match folder {
             Some(_) => whole_rows(&mut file).map_err(|error| io("read", error))?,
@@ -97,14 +95,14 @@ fn no_run(folder: &Path) -> RecordingError {
     }
 }
 
-/// Opens a run and reads all of it. Without `map` the headers must be those of our own `samples.csv`.
+/// Opens a run and reads all of it. Without a map the headers must be those of our own `samples.csv`.
 ///
 /// A run that was not finished is read to its last whole row, with a warning. Origins of signals come from the
 /// manifest; without one they are unknown, but for the commands of our own files.
-pub fn open_run(path: &Path, map: Option<&ColumnMap>) -> Result<LoadedRun, RecordingError> {
-    let mut source = RunRows::open(path, map)?;
-    let mut run = csv_read::collect(&mut source.rows, &source.name, map.is_none())?;
-    if map.is_none()
+pub fn open_run(path: &Path, options: ReadOptions<'_>) -> Result<LoadedRun, RecordingError> {
+    let mut source = RunRows::open(path, options)?;
+    let mut run = csv_read::collect(&mut source.rows, &source.name, options.map.is_none())?;
+    if options.map.is_none()
         && let Some(manifest) = &source.manifest
     {
         set_origins(&mut run, manifest);
@@ -125,7 +123,7 @@ pub fn run_from_memory(
     manifest: &Manifest,
 ) -> Result<LoadedRun, RecordingError> {
     let name = folder.display().to_string();
-    let options = ReadOptions { map: None, in_run_folder: true };
+    let options = ReadOptions { in_run_folder: true, ..ReadOptions::default() };
     // A read from memory does not fail.
     let (length, ends_torn) = whole_rows(&mut Cursor::new(samples)).unwrap_or_default();
     let mut rows = CsvRows::new(samples.take(length), &name, options)?;
@@ -192,6 +190,7 @@ fn set_origins(run: &mut Run, manifest: &Manifest) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::recording::ColumnMap;
     use drivebench_model::sample::Side;
     use std::fs;
 
@@ -211,7 +210,7 @@ mod tests {
         let samples = "time_s,voltage_cmd_v,voltage_v\n0,1,0.9\n1,,0.8\n";
         let folder = folder(root.path(), &manifest, samples);
         for path in [folder.path().to_owned(), folder.samples()] {
-            let loaded = open_run(&path, None).unwrap();
+            let loaded = open_run(&path, ReadOptions::default()).unwrap();
             assert_eq!(loaded.run.rows(), 2);
             assert_eq!(loaded.run.origin(Channel::Voltage), Origin::Measured);
             assert_eq!(loaded.run.origin(Channel::VoltageCmd), Origin::Commanded);
@@ -227,7 +226,7 @@ mod tests {
     fn an_unfinished_run_is_read_to_its_last_whole_row() {
         let root = tempfile::tempdir().unwrap();
         let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n1,2\n2,3.1");
-        let loaded = open_run(folder.path(), None).unwrap();
+        let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
         assert_eq!(loaded.run.column(Channel::Current).unwrap(), &[1.0, 2.0]);
         assert_eq!(loaded.run.rows_dropped, 1);
         assert_eq!(loaded.warnings.len(), 2, "{:?}", loaded.warnings);
@@ -239,15 +238,15 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n");
         fs::write(folder.file(RunFile::Manifest), "{\"name\":").unwrap();
-        let loaded = open_run(folder.path(), None).unwrap();
+        let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
         assert!(loaded.manifest.is_none());
         assert_eq!(loaded.warnings.len(), 1);
         fs::remove_file(folder.file(RunFile::Manifest)).unwrap();
-        let loaded = open_run(folder.path(), None).unwrap();
+        let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
         assert_eq!(loaded.warnings.len(), 1);
         assert_eq!(loaded.run.rows(), 1);
         // A bare samples.csv is simply a CSV.
-        let bare = open_run(&folder.samples(), None).unwrap();
+        let bare = open_run(&folder.samples(), ReadOptions::default()).unwrap();
         assert!(bare.folder.is_none());
         assert!(bare.warnings[0].contains("outside of its run folder"));
     }
@@ -258,10 +257,11 @@ mod tests {
         let path = root.path().join("log.csv");
         fs::write(&path, "t,i\n0,1\n1,2").unwrap();
         let map: ColumnMap = "time_s=t,current_a=i".parse().unwrap();
-        let loaded = open_run(&path, Some(&map)).unwrap();
+        let options = ReadOptions::mapped(&map);
+        let loaded = open_run(&path, options).unwrap();
         assert_eq!((loaded.run.rows(), loaded.run.rows_dropped), (2, 0));
         assert!(loaded.manifest.is_none() && loaded.folder.is_none());
-        let error = open_run(&root.path().join("none.csv"), None).unwrap_err();
+        let error = open_run(&root.path().join("none.csv"), ReadOptions::default()).unwrap_err();
         assert!(error.to_string().contains("none.csv: cannot open"));
     }
 }

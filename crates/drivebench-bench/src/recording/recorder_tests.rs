@@ -3,7 +3,7 @@ use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
 
 use super::*;
 use crate::recording::csv_cells::whole_rows;
-use crate::recording::{MemoryRecorder, open_run, run_from_memory};
+use crate::recording::{MemoryRecorder, ReadOptions, open_run, run_from_memory};
 use drivebench_model::sample::{Applied, Channel, Command, Demand, Origin};
 
 fn layout() -> Layout {
@@ -65,7 +65,7 @@ fn disk_and_memory_hold_the_same_bytes() {
     assert_eq!(events, memory.events_jsonl());
     assert_eq!(memory.events_jsonl().lines().count(), 4);
 
-    let loaded = open_run(folder.path(), None).unwrap();
+    let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
     assert_eq!(loaded.manifest.unwrap().rows, Some(400));
     assert_eq!(loaded.run.rows(), 400);
@@ -82,7 +82,7 @@ fn a_run_that_is_dropped_keeps_its_rows_and_stays_unfinished() {
     assert!(read(path.join("manifest.json")).contains("\"finished\": false"));
     drive(&mut disk, 10);
     drop(disk);
-    let loaded = open_run(&path, None).unwrap();
+    let loaded = open_run(&path, ReadOptions::default()).unwrap();
     assert_eq!((loaded.run.rows(), loaded.run.rows_dropped), (20, 0));
     assert!(loaded.warnings[0].contains("not finished"));
 }
@@ -145,7 +145,7 @@ fn a_folder_that_is_deleted_or_renamed_is_made_again_whole() {
         let kept = disk.finish(&manifest());
         assert_eq!(kept.error, None);
         assert!(kept.status.error.is_some());
-        let loaded = open_run(kept.folder.path(), None).unwrap();
+        let loaded = open_run(kept.folder.path(), ReadOptions::default()).unwrap();
         assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
         let (samples, events) = expected(cycles);
         assert!(samples.len() > 2 * Capacity::SAMPLES.written);
@@ -164,7 +164,7 @@ fn a_folder_that_is_gone_when_the_run_ends_is_made_again_too() {
     drive(&mut disk, 3);
     let kept = disk.finish(&manifest());
     assert_eq!(kept.error, None);
-    let loaded = open_run(kept.folder.path(), None).unwrap();
+    let loaded = open_run(kept.folder.path(), ReadOptions::default()).unwrap();
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
 }
 
@@ -260,7 +260,7 @@ fn a_manifest_cut_at_any_byte_loses_no_rows() {
     let text = read(path.clone());
     for cut in 0..text.len() {
         fs::write(&path, &text[..cut]).unwrap();
-        let loaded = open_run(kept.folder.path(), None).unwrap();
+        let loaded = open_run(kept.folder.path(), ReadOptions::default()).unwrap();
         assert_eq!(loaded.run.rows(), 6);
         // Only its line feed may be missing.
         let is_whole = cut == text.len() - 1;
@@ -335,7 +335,7 @@ fn a_killed_program_loses_no_whole_row() {
     child.kill().unwrap();
     child.wait().unwrap();
 
-    let loaded = open_run(folder.path(), None).unwrap();
+    let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
     assert!(loaded.run.rows() > 300);
     assert!(loaded.run.rows_dropped <= 1);
     let handed = fs::read(root.path().join(HANDED)).unwrap();

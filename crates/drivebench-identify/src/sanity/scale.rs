@@ -114,8 +114,33 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
 
 /// Tolerance by which a ratio of back-EMF constants shows a unit; temperature moves it by some per cent.
 const BACK_EMF: f64 = 0.15;
-/// Electrical time constant that no armature reaches, s.
-pub const LONGEST_ARMATURE_S: f64 = 1.0;
+/// Electrical time constants L/R between which that of every armature is, s.
+pub const ARMATURE_S: [f64; 2] = [1e-6, 1.0];
+
+/// A time axis in another unit, which shows in the time constant of the armature.
+fn time_unit(found: &Balances, period_s: f64) -> Option<Finding> {
+    if !(found.inductance.is_positive() && found.resistance.is_positive()) {
+        return None;
+    }
+    let time_constant_s = found.inductance.value / found.resistance.value;
+    let [shortest_s, longest_s] = ARMATURE_S;
+    let (unit, to_s) = if time_constant_s > longest_s {
+        // Rows of a motor are 0.1 s apart at most, and in the unit before that they would be at least 10 s apart.
+        if period_s < 100.0 && time_constant_s < 1e3 {
+            ("ms", "0.001")
+        } else if period_s < 1e5 && time_constant_s < 1e6 {
+            ("us", "0.000001")
+        } else {
+            ("ns", "0.000000001")
+        }
+    } else if time_constant_s < shortest_s && period_s * 86400.0 > 1e-5 {
+        ("days", "86400")
+    } else {
+        return None;
+    };
+    let fault = UnitFault::Armature { unit, to_s, period_s, time_constant_s };
+    Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)))
+}
 
 /// Against the model's values, a torque, and what motors are like.
 pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Finding> {
@@ -127,15 +152,7 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
         .or_else(|| back_emf_without_current(&roles))
         .filter(Coefficient::is_positive)
         .map(|found| found.value);
-    if let Some(found) = &balances
-        && found.inductance.is_positive()
-        && found.resistance.is_positive()
-        && found.inductance.value > LONGEST_ARMATURE_S * found.resistance.value
-    {
-        let time_constant_s = found.inductance.value / found.resistance.value;
-        let fault = UnitFault::TimeInMs { period_s: table.period_s(), time_constant_s };
-        findings.push(Finding::refusal(Kind::Unit, Fault::Unit(fault)));
-    }
+    findings.extend(balances.as_ref().and_then(|found| time_unit(found, table.period_s())));
     let resistance = balances.map(|found| found.resistance.value);
     let nameplate = model.motor.get(MotorKey::BackEmf);
     if let (Some(found), Some(given)) = (back_emf, nameplate) {
@@ -256,32 +273,84 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
     (rad_s > suspected && !confirmed)
         .then(|| Finding::caution(Kind::Magnitude, &OF_SPEED, Fault::Unit(fault)))
 }
-/// The unit in the header of a mapped column: `(target, names of which one stands in the header, unit, factor to the target's)`.
+
+/// Units of columns: `(target, names without blanks, unit, factor to the target's)`. The target's own unit has the factor 1.
 const UNITS: &[(&str, &str, &str, &str)] = &[
     ("speed_rad_s", "krpm", "1000 r/min", "104.719755"),
     (
         "speed_rad_s",
-        "rpm r/min u/min rev/min 1/min min-1 min^-1",
+        "rpm r/min u/min rev/min 1/min min-1 min^-1 min\u{207b}\u{b9} tr/min giri/min",
         "r/min (a factor 9.5493)",
         "0.104719755",
     ),
-    ("speed_rad_s", "deg/s dps \u{b0}/s", "deg/s", "0.01745329252"),
-    ("speed_rad_s", "rps rev/s turns/s hz", "turns per second", "6.283185307"),
-    ("current_a", "ma milliamp milliamps", "mA", "0.001"),
+    ("speed_rad_s", "deg/s deg/sec dps degrees/s \u{b0}/s \u{b0}/sec", "deg/s", "0.01745329252"),
+    ("speed_rad_s", "rps rev/s revs/s turn/s turns/s r/s hz", "turns per second", "6.283185307"),
+    ("speed_rad_s", "mrad/s", "mrad/s", "0.001"),
+    ("current_a", "ma milliamp milliamps milliampere", "mA", "0.001"),
     ("current_a", "ka", "kA", "1000"),
     ("voltage_v", "mv millivolt millivolts", "mV", "0.001"),
     ("voltage_v", "kv", "kV", "1000"),
-    ("voltage_cmd_v", "mv", "mV", "0.001"),
-    ("voltage_cmd_v", "kv", "kV", "1000"),
-    ("bus_v", "mv", "mV", "0.001"),
-    ("time_s", "ms msec millis milliseconds", "ms", "0.001"),
-    ("time_s", "us usec micros \u{b5}s \u{3bc}s", "us", "0.000001"),
-    ("time_s", "ns nanos", "ns", "0.000000001"),
-    ("angle_rad", "deg degrees \u{b0}", "degrees", "0.01745329252"),
-    ("angle_rad", "rev turns revs", "turns", "6.283185307"),
+    ("time_s", "ms msec millis millisecond milliseconds", "ms", "0.001"),
+    ("time_s", "us usec micros microseconds \u{b5}s \u{3bc}s", "us", "0.000001"),
+    ("time_s", "ns nsec nanos nanoseconds", "ns", "0.000000001"),
+    ("time_s", "min minutes", "min", "60"),
+    ("angle_rad", "deg degree degrees \u{b0}", "degrees", "0.01745329252"),
+    ("angle_rad", "rev revs turn turns", "turns", "6.283185307"),
+    ("angle_rad", "mrad", "mrad", "0.001"),
     ("torque_n_m", "mnm nmm mn.m n.mm", "mN.m", "0.001"),
     ("torque_n_m", "ncm n.cm", "N.cm", "0.01"),
+    (
+        "speed_rad_s",
+        "rad/s rad/sec rads/s rad.s-1 rad\u{b7}s-1 rad*s^-1 rad\u{b7}s\u{207b}\u{b9} 1/s s-1 s^-1",
+        "rad/s",
+        "1",
+    ),
+    ("current_a", "a amp amps ampere amperes", "A", "1"),
+    ("voltage_v", "v volt volts", "V", "1"),
+    ("time_s", "s sec secs second seconds", "s", "1"),
+    ("angle_rad", "rad radian radians", "rad", "1"),
+    ("torque_n_m", "nm n.m n\u{b7}m n*m", "N.m", "1"),
+    ("temperature_c", "c \u{b0}c degc celsius", "C", "1"),
 ];
+
+/// A unit of a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ColumnUnit {
+    pub name: &'static str,
+    /// To the unit of the target, as it stands in a map.
+    pub factor: &'static str,
+}
+
+fn unit(target: &str, is_named: impl Fn(&str) -> bool) -> Option<ColumnUnit> {
+    // Targets of one quantity.
+    let target = match target {
+        "voltage_cmd_v" | "bus_v" => "voltage_v",
+        "reference_rad_s" => "speed_rad_s",
+        "time_half_width_s" => "time_s",
+        other => other,
+    };
+    let mut rows = UNITS.iter().filter(|row| row.0 == target);
+    let row = rows.find(|row| row.1.split(' ').any(&is_named))?;
+    Some(ColumnUnit { name: row.2, factor: row.3 })
+}
+
+/// A unit that stands alone, as `mA`, `(ms)` or `[rad/s]`; `None` where it is none of this target.
+pub fn unit_of(target: &str, text: &str) -> Option<ColumnUnit> {
+    let text = bare_unit(text);
+    unit(target, |name| name == text)
+}
+
+/// Whether a text is the unit of any target.
+pub fn is_unit(text: &str) -> bool {
+    let text = bare_unit(text);
+    UNITS.iter().any(|row| row.1.split(' ').any(|name| name == text))
+}
+
+/// In small letters, without blanks and brackets.
+fn bare_unit(text: &str) -> String {
+    let bare = text.trim().trim_matches(|letter| "()[]{}<>".contains(letter));
+    bare.to_lowercase().split_whitespace().collect()
+}
 
 /// The unit that a header names where it is not the target's. `scaled`: the map gives a factor, so somebody thought of it.
 pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
@@ -292,14 +361,37 @@ pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
     let words: Vec<&str> = header_lower
         .split(|letter: char| letter.is_whitespace() || "_,;:()[]{}|\"".contains(letter))
         .collect();
-    let (_, _, unit, factor) = UNITS.iter().find(|(of, names, ..)| {
-        *of == target && names.split(' ').any(|name| words.contains(&name))
-    })?;
+    let ColumnUnit { name: unit, factor } =
+        unit(target, |name| words.contains(&name)).filter(|unit| unit.factor != "1")?;
     let (target, header) = (target.to_owned(), header.to_owned());
     Some(Finding::refusal(
         Kind::Unit,
         Fault::Unit(UnitFault::Header { target, header, unit, factor }),
     ))
+}
+
+/// Unit and factor of stamps that can be no seconds: `first` as it stands in the file, `step` to the next one.
+pub fn unit_of_stamps(first: f64, step: f64) -> Option<ColumnUnit> {
+    // Seconds since 1970 of the years 2000 to 2100.
+    let is_epoch = |factor: f64| (9.4e8..4.2e9).contains(&(first * factor));
+    let [ms, us, ns] = [
+        ("ms since 1970", "0.001"),
+        ("us since 1970", "0.000001"),
+        ("ns since 1970", "0.000000001"),
+    ];
+    let (name, factor) = if is_epoch(1e-3) {
+        ms
+    } else if is_epoch(1e-6) {
+        us
+    } else if is_epoch(1e-9) {
+        ns
+    } else if (25_000.0..75_000.0).contains(&first) && step > 0.0 && step < 5e-6 {
+        // Of the years 1968 to 2105; as seconds they would be more than 200,000 rows a second.
+        ("days of a spreadsheet", "86400")
+    } else {
+        return None;
+    };
+    Some(ColumnUnit { name, factor })
 }
 
 #[cfg(test)]
@@ -330,5 +422,65 @@ mod tests {
         ] {
             assert_eq!(of_header(target, header, false), None, "{header}");
         }
+    }
+
+    #[test]
+    fn a_unit_alone_gives_its_factor() {
+        for (target, text, factor) in [
+            ("time_s", "(ms)", Some("0.001")),
+            ("time_s", "sec", Some("1")),
+            ("voltage_cmd_v", "[mV]", Some("0.001")),
+            ("reference_rad_s", "RPM", Some("0.104719755")),
+            ("speed_rad_s", "rad / s", Some("1")),
+            ("current_a", "ms", None),
+            ("current_a", "counts", None),
+        ] {
+            assert_eq!(unit_of(target, text).map(|unit| unit.factor), factor, "{target} {text}");
+            assert_eq!(is_unit(text), text != "counts", "{text}");
+        }
+    }
+
+    #[test]
+    fn stamps_that_are_no_seconds() {
+        for (first, step, factor) in [
+            (1.714e12, 2.0, Some("0.001")),
+            (1.714e15, 2e3, Some("0.000001")),
+            (1.714e18, 2e6, Some("0.000000001")),
+            (45_418.5, 2.3e-8, Some("86400")),
+            // Seconds since 1970, of the day, and ms of the day.
+            (1.714e9, 2e-3, None),
+            (45_418.5, 1e-4, None),
+            (4.32e7, 2.0, None),
+        ] {
+            assert_eq!(unit_of_stamps(first, step).map(|unit| unit.factor), factor, "{first}");
+        }
+    }
+
+    #[test]
+    fn a_time_constant_shows_the_unit_of_the_time() {
+        let clear = |value| Coefficient { value, std: 0.0 };
+        let balances = |inductance| Balances {
+            resistance: clear(1.0),
+            inductance: clear(inductance),
+            back_emf: clear(0.05),
+            voltage_error: 0.0,
+            inertia: clear(1e-3),
+            torque_error: 0.0,
+        };
+        // An armature of 0.5 ms and one of 20 ms, rows 0.5 ms and 20 ms apart.
+        for (factor, to_seconds) in
+            [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9), ("86400", 86_400.0)]
+        {
+            for (constant_s, period_s) in [(0.5e-3, 0.5e-3), (0.5e-3, 2e-3), (20e-3, 20e-3)] {
+                let found = time_unit(&balances(constant_s / to_seconds), period_s / to_seconds);
+                if let Some(found) = &found {
+                    let text = format!("{:?}", found.fault);
+                    assert!(text.contains(&format!("to_s: {factor:?}")), "{constant_s}: {text}");
+                }
+                // Half a unit could be seconds.
+                assert_eq!(found.is_some(), constant_s / to_seconds > 1.0 || to_seconds > 1.0);
+            }
+        }
+        assert_eq!(time_unit(&balances(0.01), 0.001), None);
     }
 }

@@ -15,7 +15,7 @@ use drivebench::diagnosis::{Diagnosis, Evidence, diagnose};
 use drivebench::emulator::mystery::{Truth, draw};
 use drivebench::identification::speed_from_angle;
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
-use drivebench::recording::{ColumnMap, open_run};
+use drivebench::recording::{ColumnMap, ReadOptions, open_run};
 use drivebench::report::wording::diagnosis as words;
 use drivebench::sample::Verdict;
 use drivebench::workflow::{ORDER, sizes};
@@ -207,8 +207,8 @@ fn answer(record: &Record, folder: &Path) -> RecordAnswer {
 
 fn diagnosis(record: &Record, folder: &Path) -> Result<Diagnosis, String> {
     let map: ColumnMap = record.map.parse().map_err(|error| format!("{error}"))?;
-    let loaded =
-        open_run(&folder.join(record.file), Some(&map)).map_err(|error| error.to_string())?;
+    let loaded = open_run(&folder.join(record.file), ReadOptions::mapped(&map))
+        .map_err(|error| error.to_string())?;
     let run = speed_from_angle::complete(&loaded.run).map_err(|error| error.to_string())?;
     let run = Scenario::from_run(&run).map_err(|error| error.to_string())?;
     let motor = Motor::new("machine")
