@@ -539,7 +539,11 @@ impl<R: BufRead> CsvRows<R> {
             .unwrap_or_default();
         match &self.clock {
             Clock::Text(clock) => clock.clone().seconds(&text).is_some(),
-            _ => self.numbers.clone().number(&text).is_ok_and(f64::is_finite),
+            // An infinite number is a fault of its row.
+            _ => {
+                text.parse::<f64>().is_ok()
+                    || !text.is_empty() && self.numbers.clone().number(&text).is_ok()
+            }
         }
     }
 
