@@ -104,16 +104,16 @@ impl MapArguments {
 
     /// Opens the run with its map; the origins of the command line override those of a manifest.
     pub(super) fn load(&self, path: &Path, terminal: &Terminal) -> Result<LoadedRun, Failure> {
-        self.load_with(path, self.file.map()?, terminal)
+        self.load_with(path, self.file.map()?.as_ref(), terminal)
     }
 
     fn load_with(
         &self,
         path: &Path,
-        map: Option<ColumnMap>,
+        map: Option<&ColumnMap>,
         terminal: &Terminal,
     ) -> Result<LoadedRun, Failure> {
-        let items = map.as_ref().map(ColumnMap::items).unwrap_or_default();
+        let items = map.map(ColumnMap::items).unwrap_or_default();
         // A header that names another unit than its target's, with no factor in the map.
         let finding = items.iter().find_map(|item| {
             let target = item.target.map_or("time_s", Channel::key);
@@ -124,7 +124,7 @@ impl MapArguments {
                 (words::fault(&finding.fault), words::help(&finding.fault, words::MAP));
             return Err(Failure::usage(headline, help));
         }
-        let mut loaded = load(path, self.file.options(map.as_ref()), terminal)?;
+        let mut loaded = load(path, self.file.options(map), terminal)?;
         if let Some(provenance) = &self.origin {
             provenance.apply(&mut loaded.run);
         }
@@ -263,7 +263,7 @@ impl EvidenceArguments {
         let load = |path: &Path, is_other: bool| {
             let other_map = self.map.map_holdout.as_deref().filter(|_| is_other);
             let map = other_map.map_or_else(|| self.map.file.map(), |map| Ok(Some(map.parse()?)));
-            self.map.load_with(path, map?, terminal)
+            self.map.load_with(path, map?.as_ref(), terminal)
         };
         prepare(files, load, judging)
     }
