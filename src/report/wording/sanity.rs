@@ -3,7 +3,7 @@
 use std::f64::consts::PI;
 
 use drivebench_identify::sanity::{
-    ARMATURE_S, Basis, ColumnFault, Evidence, Fault, Finding, Level, Mapping, Masked,
+    Basis, ColumnFault, Evidence, Fault, Finding, LONGEST_ARMATURE_S, Level, Mapping, Masked,
     SignalFault, UnitFault,
 };
 use drivebench_model::plant::MotorKey;
@@ -300,10 +300,9 @@ fn unit(fault: &UnitFault) -> String {
         UnitFault::Armature { unit, to_s, period_s, time_constant_s } => {
             let digits =
                 |of: &f64| if *of < 1e-3 { format!("{of:.3e}") } else { format!("{of:.4}") };
-            let [shortest_s, longest_s] = ARMATURE_S;
             format!(
                 "time_s seems to be in {unit}, not in s (a factor {to_s} converts it): the rows are {} s apart and the \
-                 armature would have a time constant L/R of {} s, while all are between {shortest_s:e} and {longest_s} s",
+                 armature would have a time constant L/R of {} s, while none exceeds {LONGEST_ARMATURE_S} s",
                 digits(period_s),
                 digits(time_constant_s)
             )

@@ -32,6 +32,11 @@ impl Default for Column {
 }
 
 impl Column {
+    /// The time, and not a product of cells.
+    pub(super) fn is_clock(&self) -> bool {
+        self.target.is_none() && (self.cells.len() == 1 || self.is_date_and_clock)
+    }
+
     pub(super) fn key(&self) -> &'static str {
         self.target.map_or("time_s", Channel::key)
     }

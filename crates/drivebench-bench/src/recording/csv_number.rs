@@ -56,9 +56,7 @@ impl NumberFormat {
         }
         // The usual form, quickly.
         if self.decimal == Some(',')
-            && !cell.contains('.')
-            && let Ok(value) = cell.replacen(',', ".", 1).parse::<f64>()
-            && value.is_finite()
+            && let Some(value) = with_comma(cell)
         {
             return Ok(value);
         }
@@ -106,6 +104,21 @@ impl NumberFormat {
             };
         }
     }
+}
+
+/// A short finite number with at most one mark, a comma.
+fn with_comma(cell: &str) -> Option<f64> {
+    let mut digits = [0_u8; 32];
+    let text = digits.get_mut(..cell.len())?;
+    let mut commas = 0;
+    for (to, from) in text.iter_mut().zip(cell.bytes()) {
+        commas += usize::from(from == b',');
+        *to = if from == b',' { b'.' } else { from };
+        if from == b'.' || commas > 1 {
+            return None;
+        }
+    }
+    std::str::from_utf8(text).ok()?.parse().ok().filter(|value: &f64| value.is_finite())
 }
 
 /// The decimal mark of a number.

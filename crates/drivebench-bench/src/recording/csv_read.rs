@@ -6,7 +6,7 @@
 //! ```
 
 use std::borrow::Cow;
-use std::io::{self, BufRead};
+use std::io::{self, BufRead, Read};
 
 use super::csv_cells::{Cells, at_line};
 use super::csv_columns::{
@@ -333,19 +333,30 @@ impl<R: BufRead> CsvRows<R> {
         }
         let mut checksum = 0_u64;
         let mut empty = true;
-        for place in 0..self.columns.len() {
-            let value = match self.value(place) {
+        let mut problem = None;
+        let Self { cells, columns, head, numbers, missing, clock, .. } = self;
+        for column in columns {
+            let mut line = Line { cells, head, numbers, missing };
+            let value =
+                if column.is_clock() { line.stamp(column, clock) } else { line.product(column) };
+            let value = match value {
                 Ok(value) => value,
-                Err(problem) => return Err(self.wrong(problem)),
+                Err(found) => {
+                    problem = Some(found);
+                    break;
+                }
             };
             checksum =
                 (checksum.rotate_left(5) ^ value.to_bits()).wrapping_mul(0x517c_c1b7_2722_0a95);
-            if let Some(channel) = self.columns[place].target {
+            if let Some(channel) = column.target {
                 empty &= value.is_nan();
                 out.set(channel, Some(value));
             } else {
                 out.time_s = value;
             }
+        }
+        if let Some(problem) = problem {
+            return Err(self.wrong(problem));
         }
         if out.time_s.is_nan() {
             if empty {
@@ -383,122 +394,19 @@ impl<R: BufRead> CsvRows<R> {
         RecordingError::Row { file, row, line, problem }
     }
 
-    /// A cell as a number, NaN where it is missing.
-    fn number(
-        numbers: &mut NumberFormat,
-        missing: &MissingValues,
-        text: &str,
-    ) -> Result<f64, NoNumber> {
-        if missing.has_text(text) {
-            return Ok(f64::NAN);
-        }
-        let value = numbers.number(text)?;
-        Ok(if missing.has_number(value) { f64::NAN } else { value })
-    }
-
-    /// The value of one column on the present line.
-    fn value(&mut self, place: usize) -> Result<f64, RowProblem> {
-        let column = &self.columns[place];
-        if column.target.is_none() && (column.cells.len() == 1 || column.is_date_and_clock) {
-            return self.stamp(place);
-        }
-        let Self { cells, columns, head, numbers, missing, .. } = self;
-        let column = &mut columns[place];
-        let mut value = column.factor;
-        for Cell { field, sign } in &mut column.cells {
-            let text = cells.get(*field);
-            let number = Self::number(numbers, missing, text)
-                .map_err(|form| RowProblem::not_a_number(&head.headers[*field], text, form))?;
-            value *= match sign {
-                None => number,
-                Some(sign) => {
-                    if number.abs() > 0.0 {
-                        *sign = number.signum();
-                    }
-                    *sign
-                }
-            };
-        }
-        sized(value + column.offset, &head.headers[column.cells[0].field])
-    }
-
-    /// The time cells of the present line, joined by a blank.
-    fn stamp_text<'a>(cells: &'a Cells<R>, column: &Column) -> Cow<'a, str> {
-        let cell =
-            |cell: &Cell| if cell.field < cells.count() { cells.get(cell.field) } else { "" };
-        match &column.cells[..] {
-            [date, clock] => {
-                Cow::Owned(format!("{} {}", cell(date), cell(clock)).trim().to_owned())
-            }
-            cells => Cow::Borrowed(cells.first().map_or("", cell)),
-        }
-    }
-
-    /// The time of the present line, from a number or a text.
-    fn stamp(&mut self, place: usize) -> Result<f64, RowProblem> {
-        let Self { cells, columns, head, numbers, missing, clock, .. } = self;
-        let column = &columns[place];
-        let text = Self::stamp_text(cells, column);
-        let name = &head.headers[column.cells[0].field];
-        let not_a_time = || RowProblem::not_a_time(name, &text);
-        if let Clock::Text(clock) = clock {
-            if text.is_empty() || missing.has_text(&text) {
-                return Ok(f64::NAN);
-            }
-            return Ok(clock.seconds(&text).ok_or_else(not_a_time)? + column.offset);
-        }
-        let number = if column.is_date_and_clock && !text.is_empty() {
-            Err(NoNumber::Text)
-        } else {
-            Self::number(numbers, missing, &text)
-        };
-        match number {
-            Ok(value) if value.is_nan() => Ok(value),
-            Ok(value) => {
-                if matches!(clock, Clock::Open) {
-                    *clock = Clock::Numbers(NumberClock::default());
-                }
-                let value = match clock {
-                    // An offset gives the origin.
-                    Clock::Numbers(clock) if column.offset.abs() <= 0.0 => {
-                        clock.relative(&text, value, column.factor)
-                    }
-                    _ => value,
-                };
-                sized(value * column.factor + column.offset, name)
-            }
-            Err(form) => {
-                let mut texts = TextClock::default();
-                match texts.seconds(&text).filter(|_| matches!(clock, Clock::Open)) {
-                    Some(_) if (column.factor - 1.0).abs() > 0.0 => {
-                        Err(RowProblem::FactorOfStamp {
-                            column: name.clone(),
-                            text: text.into_owned(),
-                        })
-                    }
-                    Some(seconds) => {
-                        *clock = Clock::Text(texts);
-                        Ok(seconds + column.offset)
-                    }
-                    None if matches!(clock, Clock::Open) || form == NoNumber::Text => {
-                        Err(not_a_time())
-                    }
-                    None => Err(RowProblem::not_a_number(name, &text, form)),
-                }
-            }
-        }
-    }
-
     /// Stamps that can be no seconds, although no factor is given.
     fn check_unit(&self) -> Result<(), RecordingError> {
         let Clock::Numbers(clock) = &self.clock else { return Ok(()) };
+        if clock.count != 2 {
+            return Ok(());
+        }
         let mut columns = self.columns.iter();
         let time =
             columns.find(|column| column.target.is_none() && !column.scaled && clock.count == 2);
         let is_converted = |column: &&Column| (column.factor - 1.0).abs() > 0.0;
         let Some(column) = time.filter(|column| !is_converted(column)) else { return Ok(()) };
-        let [first, step] = clock.first_step();
-        let Some(unit) = unit_of_stamps(first, step) else { return Ok(()) };
+        let first = clock.first();
+        let Some(unit) = unit_of_stamps(first[0], first[1] - first[0]) else { return Ok(()) };
         let column = self.head.headers[column.cells[0].field].clone();
         Err(RecordingError::TimeUnit { file: self.file.clone(), column, first, unit })
     }
@@ -535,11 +443,11 @@ impl<R: BufRead> CsvRows<R> {
         let mut columns = self.columns.iter();
         let text = columns
             .find(|column| column.target.is_none())
-            .map(|column| Self::stamp_text(&self.cells, column))
+            .map(|column| stamp_text(&self.cells, column))
             .unwrap_or_default();
         match &self.clock {
             Clock::Text(clock) => clock.clone().seconds(&text).is_some(),
-            // An infinite number is a fault of its row.
+            // An infinite or missing number is a fault of its row.
             _ => {
                 text.parse::<f64>().is_ok()
                     || !text.is_empty() && self.numbers.clone().number(&text).is_ok()
@@ -598,6 +506,110 @@ impl<R: BufRead> CsvRows<R> {
         let steps: Vec<f64> = stamps.windows(2).map(|pair| pair[1] - pair[0]).collect();
         let most_s = 8.0 * median(&steps);
         self.is_over && steps.len() > 2 && steps.iter().all(|step| *step > 0.0 && *step <= most_s)
+    }
+}
+
+/// The present line with what its cells are read by.
+struct Line<'a, R> {
+    cells: &'a Cells<R>,
+    head: &'a Head,
+    numbers: &'a mut NumberFormat,
+    missing: &'a MissingValues,
+}
+
+impl<R: Read> Line<'_, R> {
+    /// A cell as a number, NaN where it is missing.
+    fn number(&mut self, text: &str) -> Result<f64, NoNumber> {
+        if self.missing.has_text(text) {
+            return Ok(f64::NAN);
+        }
+        let value = self.numbers.number(text)?;
+        Ok(if self.missing.has_number(value) { f64::NAN } else { value })
+    }
+
+    /// The product of the cells of a column.
+    fn product(&mut self, column: &mut Column) -> Result<f64, RowProblem> {
+        let (line, head) = (self.cells, self.head);
+        let mut value = column.factor;
+        for Cell { field, sign } in &mut column.cells {
+            let text = line.get(*field);
+            let number = self
+                .number(text)
+                .map_err(|form| RowProblem::not_a_number(&head.headers[*field], text, form))?;
+            value *= match sign {
+                None => number,
+                Some(sign) => {
+                    if number.abs() > 0.0 {
+                        *sign = number.signum();
+                    }
+                    *sign
+                }
+            };
+        }
+        sized(value + column.offset, &head.headers[column.cells[0].field])
+    }
+
+    /// The time of the present line, from a number or a text.
+    fn stamp(&mut self, column: &Column, clock: &mut Clock) -> Result<f64, RowProblem> {
+        let (cells, head) = (self.cells, self.head);
+        let text = stamp_text(cells, column);
+        let name = &head.headers[column.cells[0].field];
+        let not_a_time = || RowProblem::not_a_time(name, &text);
+        if let Clock::Text(clock) = clock {
+            if text.is_empty() || self.missing.has_text(&text) {
+                return Ok(f64::NAN);
+            }
+            return Ok(clock.seconds(&text).ok_or_else(not_a_time)? + column.offset);
+        }
+        let number = if column.is_date_and_clock && !text.is_empty() {
+            Err(NoNumber::Text)
+        } else {
+            self.number(&text)
+        };
+        match number {
+            Ok(value) if value.is_nan() => Ok(value),
+            Ok(value) => {
+                if matches!(clock, Clock::Open) {
+                    *clock = Clock::Numbers(NumberClock::default());
+                }
+                let value = match clock {
+                    // An offset gives the origin.
+                    Clock::Numbers(clock) if column.offset.abs() <= 0.0 => {
+                        clock.relative(&text, value, column.factor)
+                    }
+                    _ => value,
+                };
+                sized(value * column.factor + column.offset, name)
+            }
+            Err(form) => {
+                let mut texts = TextClock::default();
+                match texts.seconds(&text).filter(|_| matches!(clock, Clock::Open)) {
+                    Some(_) if (column.factor - 1.0).abs() > 0.0 => {
+                        Err(RowProblem::FactorOfStamp {
+                            column: name.clone(),
+                            text: text.into_owned(),
+                        })
+                    }
+                    Some(seconds) => {
+                        *clock = Clock::Text(texts);
+                        Ok(seconds + column.offset)
+                    }
+                    None if matches!(clock, Clock::Open) || form == NoNumber::Text => {
+                        Err(not_a_time())
+                    }
+                    None => Err(RowProblem::not_a_number(name, &text, form)),
+                }
+            }
+        }
+    }
+}
+
+/// The time cells of the present line, joined by a blank.
+fn stamp_text<'a, R: Read>(cells: &'a Cells<R>, column: &Column) -> Cow<'a, str> {
+    let cell = |cell: &Cell| if cell.field < cells.count() { cells.get(cell.field) } else { "" };
+    match &column.cells[..] {
+        [date, clock] => Cow::Owned(format!("{} {}", cell(date), cell(clock)).trim().to_owned()),
+        cells => Cow::Borrowed(cells.first().map_or("", cell)),
     }
 }
 

@@ -49,9 +49,9 @@ impl NumberClock {
         exact.unwrap_or_else(|| value - self.first[0])
     }
 
-    /// First stamp and first step.
-    pub(super) fn first_step(&self) -> [f64; 2] {
-        [self.first[0], self.first[1] - self.first[0]]
+    /// The first two stamps as they stand in the file.
+    pub(super) fn first(&self) -> [f64; 2] {
+        self.first
     }
 
     /// The first stamp, where the others count from it.

@@ -170,9 +170,9 @@ pub enum RecordingError {
     #[error("{file}: no line is left behind the {skip} that --skip leaves out")]
     SkippedAll { file: String, skip: usize },
     #[error(
-        "{file}: column {column:?} is in {}, not in s: its first value is {first}", unit.name
+        "{file}: column {column:?} is in {}, not in s: its first values are {} and {}", unit.name, first[0], first[1]
     )]
-    TimeUnit { file: String, column: String, first: f64, unit: ColumnUnit },
+    TimeUnit { file: String, column: String, first: [f64; 2], unit: ColumnUnit },
     #[error("{file}: line {line} is longer than {most} bytes, the most that a row may have")]
     LineTooLong { file: String, line: usize, most: u64 },
     #[error("{file}: the file is empty (a header row and data rows are needed)")]

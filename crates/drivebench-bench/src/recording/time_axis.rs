@@ -11,16 +11,16 @@
 //!     else -----------------------------> refused
 //! ```
 //!
-//! The memory is bounded: the steps of 16 rows, stamp and checksum of 65,536 rows, at most eight rows.
+//! The memory is bounded: the steps of 16 rows, stamp and checksum of 16,384 rows, at most eight rows.
 
 use std::collections::VecDeque;
 
 use drivebench_model::numerics::statistics::median;
 
-/// Stamps whose differences are the usual step.
+/// Steps whose median is the usual one.
 const STEPS: usize = 16;
 /// Rows whose stamps are kept.
-const ROWS: usize = 1 << 16;
+const ROWS: usize = 1 << 14;
 
 struct Settings {
     /// Steps up to so many usual ones are usual too: rows may be lost.
@@ -122,8 +122,9 @@ pub(super) struct TimeAxis<T> {
     last: Option<Stamp>,
     kept: usize,
     steps: [f64; STEPS],
-    /// Median of the steps.
-    usual_s: f64,
+    /// Mean of the last steps, from so many rows to the next so many.
+    mean_s: f64,
+    block_s: f64,
     /// Stamps and checksums of the last rows, the oldest overwritten.
     past: Vec<(f64, u64)>,
     read: usize,
@@ -150,7 +151,8 @@ impl<T> TimeAxis<T> {
             last: None,
             kept: 0,
             steps: [0.0; STEPS],
-            usual_s: 0.0,
+            mean_s: 0.0,
+            block_s: 0.0,
             past: Vec::new(),
             read: 0,
             held: VecDeque::new(),
@@ -254,7 +256,7 @@ impl<T> TimeAxis<T> {
             sentences.push(format!(
                 "the clock was set back by {} s in line {line}: the rows go on one usual step ({} s) after the row before",
                 short(*seconds),
-                short(self.usual_s)
+                short(self.usual_step())
             ));
         }
         sentences
@@ -262,7 +264,7 @@ impl<T> TimeAxis<T> {
 
     /// Whether a step needs no thought.
     fn is_next(&self, step_s: f64) -> bool {
-        step_s > 0.0 && (self.kept <= STEPS || step_s <= SETTINGS.ahead * self.usual_s)
+        step_s > 0.0 && (self.kept <= STEPS || step_s <= SETTINGS.ahead * self.mean_s)
     }
 
     fn remember(&mut self, stamp: Stamp) {
@@ -279,9 +281,10 @@ impl<T> TimeAxis<T> {
         let time_s = stamp.time_s + self.shift_s;
         if let Some(last) = self.last {
             self.steps[(self.kept - 1) % STEPS] = time_s - last.time_s;
-            if self.kept.is_multiple_of(STEPS) {
-                self.usual_s = median(&self.steps);
-            }
+        }
+        if self.kept.is_multiple_of(STEPS) {
+            self.mean_s = (time_s - self.block_s) / STEPS as f64;
+            self.block_s = time_s;
         }
         self.last = Some(Stamp { time_s, ..stamp });
         self.kept += 1;

@@ -28,7 +28,7 @@ pub use fault::{
     Basis, ColumnFault, Evidence, Fault, Level, Mapping, Masked, SignalFault, UnitFault,
 };
 pub use mask::mask;
-pub use scale::{ARMATURE_S, ColumnUnit, is_unit, of_header, unit_of, unit_of_stamps};
+pub use scale::{LONGEST_ARMATURE_S, ColumnUnit, is_unit, of_header, unit_of, unit_of_stamps};
 
 use serde::Serialize;
 

@@ -114,29 +114,23 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
 
 /// Tolerance by which a ratio of back-EMF constants shows a unit; temperature moves it by some per cent.
 const BACK_EMF: f64 = 0.15;
-/// Electrical time constants L/R between which that of every armature is, s.
-pub const ARMATURE_S: [f64; 2] = [1e-6, 1.0];
+/// Electrical time constant L/R that no armature reaches, s.
+pub const LONGEST_ARMATURE_S: f64 = 1.0;
 
 /// A time axis in another unit, which shows in the time constant of the armature.
 fn time_unit(found: &Balances, period_s: f64) -> Option<Finding> {
-    if !(found.inductance.is_positive() && found.resistance.is_positive()) {
+    let time_constant_s = found.inductance.value / found.resistance.value;
+    let are_positive = found.inductance.is_positive() && found.resistance.is_positive();
+    if !are_positive || time_constant_s <= LONGEST_ARMATURE_S {
         return None;
     }
-    let time_constant_s = found.inductance.value / found.resistance.value;
-    let [shortest_s, longest_s] = ARMATURE_S;
-    let (unit, to_s) = if time_constant_s > longest_s {
-        // Rows of a motor are 0.1 s apart at most, and in the unit before that they would be at least 10 s apart.
-        if period_s < 100.0 && time_constant_s < 1e3 {
-            ("ms", "0.001")
-        } else if period_s < 1e5 && time_constant_s < 1e6 {
-            ("us", "0.000001")
-        } else {
-            ("ns", "0.000000001")
-        }
-    } else if time_constant_s < shortest_s && period_s * 86400.0 > 1e-5 {
-        ("days", "86400")
+    // Rows of a motor are 0.1 s apart at most, and in the unit before that they would be at least 10 s apart.
+    let (unit, to_s) = if period_s < 100.0 && time_constant_s < 1e3 {
+        ("ms", "0.001")
+    } else if period_s < 1e5 && time_constant_s < 1e6 {
+        ("us", "0.000001")
     } else {
-        return None;
+        ("ns", "0.000000001")
     };
     let fault = UnitFault::Armature { unit, to_s, period_s, time_constant_s };
     Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)))
@@ -388,6 +382,11 @@ pub fn unit_of_stamps(first: f64, step: f64) -> Option<ColumnUnit> {
     } else if (25_000.0..75_000.0).contains(&first) && step > 0.0 && step < 5e-6 {
         // Of the years 1968 to 2105; as seconds they would be more than 200,000 rows a second.
         ("days of a spreadsheet", "86400")
+    } else if (1e3..1e5).contains(&step) {
+        // No record of a motor has rows more than a minute apart.
+        ("us", "0.000001")
+    } else if step >= 1e5 {
+        ("ns", "0.000000001")
     } else {
         return None;
     };
@@ -451,6 +450,10 @@ mod tests {
             (1.714e9, 2e-3, None),
             (45_418.5, 1e-4, None),
             (4.32e7, 2.0, None),
+            // By their step.
+            (0.0, 2e3, Some("0.000001")),
+            (0.0, 2e6, Some("0.000000001")),
+            (0.0, 100.0, None),
         ] {
             assert_eq!(unit_of_stamps(first, step).map(|unit| unit.factor), factor, "{first}");
         }
@@ -469,7 +472,7 @@ mod tests {
         };
         // An armature of 0.5 ms and one of 20 ms, rows 0.5 ms and 20 ms apart.
         for (factor, to_seconds) in
-            [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9), ("86400", 86_400.0)]
+            [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9)]
         {
             for (constant_s, period_s) in [(0.5e-3, 0.5e-3), (0.5e-3, 2e-3), (20e-3, 20e-3)] {
                 let found = time_unit(&balances(constant_s / to_seconds), period_s / to_seconds);
@@ -477,8 +480,8 @@ mod tests {
                     let text = format!("{:?}", found.fault);
                     assert!(text.contains(&format!("to_s: {factor:?}")), "{constant_s}: {text}");
                 }
-                // Half a unit could be seconds.
-                assert_eq!(found.is_some(), constant_s / to_seconds > 1.0 || to_seconds > 1.0);
+                // Half a millisecond written in ms could be half a second.
+                assert_eq!(found.is_some(), constant_s / to_seconds > 1.0);
             }
         }
         assert_eq!(time_unit(&balances(0.01), 0.001), None);
