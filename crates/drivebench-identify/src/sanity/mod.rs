@@ -28,7 +28,10 @@ pub use fault::{
     Basis, ColumnFault, Evidence, Fault, Level, Mapping, Masked, SignalFault, UnitFault,
 };
 pub use mask::mask;
-pub use scale::{LONGEST_ARMATURE_S, ColumnUnit, is_unit, of_header, unit_of, unit_of_stamps};
+pub use scale::{
+    ColumnUnit, LONGEST_ARMATURE_S, is_unit, of_header, speed_over_angle, unit_of, unit_of_stamps,
+};
+pub use table::{Balances, Coefficient, balances, is_of_a_supply};
 
 use serde::Serialize;
 

@@ -45,7 +45,7 @@ fn near(ratio: f64, factor: f64, tolerance: f64) -> bool {
 
 /// Integral of the speed over the change of the angle, over windows of ten rows; `None` without both, or where they have no
 /// constant ratio.
-fn speed_over_angle(run: &Run) -> Option<f64> {
+pub fn speed_over_angle(run: &Run) -> Option<f64> {
     let is_derived = |channel| run.origin(channel) == Origin::Derived;
     if is_derived(Channel::Speed) || is_derived(Channel::Angle) {
         return None;

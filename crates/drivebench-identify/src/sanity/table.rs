@@ -38,11 +38,8 @@ impl Table {
         let of = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
         let time_s = of(&scenario.sample_time_s);
         let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
-        // Some 3,000 windows, evenly spread over a long record.
-        let windows = windows(&time_s);
-        let stride = windows.len().div_ceil(3000).max(1);
         Self {
-            windows: windows.into_iter().step_by(stride).collect(),
+            windows: spread_windows(&time_s),
             voltage_v: time_s.iter().map(voltage).collect(),
             current: Sensor::of(&current_a),
             speed: Sensor::of(&speed_rad_s),
@@ -58,21 +55,25 @@ impl Table {
         ends.map_or(0.0, |(first, last)| last - first)
     }
 
-    /// Whether the voltage only sags: that of a supply, from which the winding's voltage does not follow. A battery that sags
-    /// below 0.7 of its largest voltage is empty, and an excitation that changes by less excites hardly anything.
     pub(super) fn voltage_is_of_a_supply(&self) -> bool {
-        let voltage = Activity::of(&self.voltage_v);
-        let least = voltage.least.abs().min(voltage.most.abs());
-        voltage.is_there()
-            && voltage.least * voltage.most > 0.0
-            && least > 0.7 * voltage.largest()
-            && !voltage.is_constant()
+        is_of_a_supply(&self.voltage_v)
     }
 
     /// Median distance of the samples, s.
     pub(super) fn period_s(&self) -> f64 {
         median_step(&self.time_s)
     }
+}
+
+/// Whether a voltage only sags: that of a supply, from which the winding's voltage does not follow. A battery that sags below
+/// 0.7 of its largest voltage is empty, and an excitation that changes by less excites hardly anything.
+pub fn is_of_a_supply(voltage_v: &[f64]) -> bool {
+    let voltage = Activity::of(voltage_v);
+    let least = voltage.least.abs().min(voltage.most.abs());
+    voltage.is_there()
+        && voltage.least * voltage.most > 0.0
+        && least > 0.7 * voltage.largest()
+        && !voltage.is_constant()
 }
 
 /// Rows in which each signal that is measured has a value; all, where such rows are fewer than 100 or 2 %: a signal that is
@@ -178,6 +179,13 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
 }
 
+/// Some 3,000 windows, evenly spread over a long record.
+fn spread_windows(time_s: &[f64]) -> Vec<Range<usize>> {
+    let windows = windows(time_s);
+    let stride = windows.len().div_ceil(3000).max(1);
+    windows.into_iter().step_by(stride).collect()
+}
+
 /// Which columns serve as voltage, current and speed.
 #[derive(Clone, Copy)]
 pub(super) struct Roles<'a> {
@@ -210,34 +218,34 @@ impl<'a> Roles<'a> {
 
 /// A coefficient and its standard deviation.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Coefficient {
-    pub(super) value: f64,
-    pub(super) std: f64,
+pub struct Coefficient {
+    pub value: f64,
+    pub std: f64,
 }
 
 /// Five standard deviations make a sign certain.
 impl Coefficient {
-    pub(super) fn is_negative(&self) -> bool {
+    pub fn is_negative(&self) -> bool {
         self.value < -5.0 * self.std
     }
 
-    pub(super) fn is_positive(&self) -> bool {
+    pub fn is_positive(&self) -> bool {
         self.value > 5.0 * self.std
     }
 }
 
 /// Both balances under one assignment of the columns.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Balances {
-    pub(super) resistance: Coefficient,
-    pub(super) inductance: Coefficient,
-    pub(super) back_emf: Coefficient,
+pub struct Balances {
+    pub resistance: Coefficient,
+    pub inductance: Coefficient,
+    pub back_emf: Coefficient,
     /// Root mean square of the residual over that of the voltage.
-    pub(super) voltage_error: f64,
+    pub voltage_error: f64,
     /// Inertia over the torque constant.
-    pub(super) inertia: Coefficient,
+    pub inertia: Coefficient,
     /// Root mean square of the residual over that of the current.
-    pub(super) torque_error: f64,
+    pub torque_error: f64,
 }
 
 impl Balances {
@@ -245,20 +253,17 @@ impl Balances {
         let sums = sums(roles);
         let ([resistance, inductance, back_emf], voltage_error) =
             fitted(sums.iter().map(|s| ([s.current, s.current_step, s.angle], s.voltage)))?;
-        let turning = sums.iter().filter(|s| s.direction != 0.0);
-        let ([inertia, ..], torque_error) = fitted(
-            turning.map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current)),
-        )?;
+        let (inertia, torque_error) = torque_balance(&sums)?;
         Some(Self { resistance, inductance, back_emf, voltage_error, inertia, torque_error })
     }
 
     /// Both errors as one number.
-    pub(super) fn error(&self) -> f64 {
+    pub fn error(&self) -> f64 {
         self.voltage_error.hypot(self.torque_error)
     }
 
     /// Every coefficient has its physical sign, for certain.
-    pub(super) fn is_physical(&self) -> bool {
+    pub fn is_physical(&self) -> bool {
         self.resistance.is_positive()
             && self.back_emf.is_positive()
             && self.inertia.is_positive()
@@ -266,7 +271,7 @@ impl Balances {
     }
 
     /// The first coefficient that has the wrong sign for certain.
-    pub(super) fn impossible(&self) -> Option<(MotorKey, f64)> {
+    pub fn impossible(&self) -> Option<(MotorKey, f64)> {
         [
             (MotorKey::Resistance, self.resistance),
             (MotorKey::BackEmf, self.back_emf),
@@ -276,6 +281,20 @@ impl Balances {
         .find(|(_, coefficient)| coefficient.is_negative())
         .map(|(key, coefficient)| (key, coefficient.value))
     }
+}
+
+/// Inertia over the torque constant from current and speed, and the root mean square of the residual over that of the current.
+fn torque_balance(sums: &[Sums]) -> Option<(Coefficient, f64)> {
+    let turning = sums.iter().filter(|s| s.direction != 0.0);
+    let rows = turning.map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current));
+    fitted(rows).map(|([inertia, ..], error)| (inertia, error))
+}
+
+/// Both balances of columns that stand side by side, each as it is; `None` where they do not determine a coefficient.
+pub fn balances(time_s: &[f64], [voltage, current, speed]: [&[f64]; 3]) -> Option<Balances> {
+    let windows = spread_windows(time_s);
+    let signs = [1.0; 2];
+    Balances::of(&Roles { time_s, windows: &windows, voltage, current, speed, signs })
 }
 
 /// Coefficients of a linear regression and its relative error; `None` where the rows do not determine one.
