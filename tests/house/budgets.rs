@@ -6,7 +6,7 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 27_400),
+    ("crates/drivebench-bench", 30_200),
     ("crates/drivebench-control", 6_690),
     ("crates/drivebench-diagnose", 21_430),
     ("crates/drivebench-emulator", 12_470),
@@ -21,7 +21,7 @@ const BUDGETS: &[(&str, usize)] = &[
     ("src/tui", 8_020),
     ("src/workflow", 5_040),
     ("tests/bench", 2_430),
-    ("tests/cli", 5_190),
+    ("tests/cli", 5_440),
     ("tests/foreign", 1_810),
     ("tests/house", 1_180),
     ("tests/kit", 1_150),
