@@ -8,6 +8,7 @@ use clap::Args;
 use clap::builder::{PathBufValueParser, TypedValueParser};
 
 use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, prepare};
+use crate::commands::map::map_help;
 use crate::report::wording::sanity as words;
 use crate::runtime::ending::Audience;
 use crate::runtime::failure::Failure;
@@ -124,7 +125,11 @@ impl MapArguments {
                 (words::fault(&finding.fault), words::help(&finding.fault, words::MAP));
             return Err(Failure::usage(headline, help));
         }
-        let mut loaded = load(path, self.file.options(map), terminal)?;
+        let options = self.file.options(map);
+        let mut loaded = load(path, options, terminal).map_err(|failure| match map {
+            None => failure.helped_by(map_help(path, options)),
+            Some(_) => failure,
+        })?;
         if let Some(provenance) = &self.origin {
             provenance.apply(&mut loaded.run);
         }

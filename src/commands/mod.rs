@@ -23,6 +23,7 @@ mod export;
 mod front;
 mod identify;
 mod init;
+mod map;
 mod pages;
 mod plan;
 mod probe;
@@ -96,6 +97,7 @@ enum Command {
     Plan(plan::Arguments),
     Run(run::Arguments),
     Speed(speed::Arguments),
+    Map(map::Arguments),
     Identify(identify::Arguments),
     Analyse(analyse::Arguments),
     Replay(replay::Arguments),
@@ -165,6 +167,7 @@ fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
         Command::Plan(arguments) => plan::execute(&arguments, terminal),
         Command::Run(arguments) => run::execute(&arguments, terminal),
         Command::Speed(arguments) => speed::execute(arguments, terminal),
+        Command::Map(arguments) => map::execute(&arguments, terminal),
         Command::Identify(arguments) => identify::execute(&arguments, terminal),
         Command::Analyse(arguments) => analyse::execute(&arguments, terminal),
         Command::Replay(arguments) => replay::execute(&arguments, terminal),

@@ -21,6 +21,7 @@ mod holdout;
 mod identify;
 mod input;
 mod line;
+mod map;
 #[cfg(target_os = "linux")]
 mod mystery;
 mod next_run;

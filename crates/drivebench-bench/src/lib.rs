@@ -12,6 +12,7 @@ mod bench_file;
 mod burst;
 mod check;
 mod clock;
+pub mod column_proposal;
 mod describe;
 mod difference;
 mod escalate;

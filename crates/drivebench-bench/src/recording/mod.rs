@@ -28,6 +28,7 @@ mod missing_values;
 mod open_run;
 #[cfg(feature = "parquet")]
 mod parquet;
+mod preview;
 mod recorder;
 mod row_order;
 mod run_folder;
@@ -44,6 +45,7 @@ pub use missing_values::MissingValues;
 pub use open_run::{LoadedRun, RunRows, open_run, run_from_memory};
 #[cfg(feature = "parquet")]
 pub use parquet::parquet;
+pub use preview::{Preview, PreviewColumn, preview, read_preview};
 pub use recorder::{Kept, KeptLogs, Recorder};
 pub use row_order::{CommandRow, RowOrder};
 pub use run_folder::{FIRST_CAPTURE, LATEST, RunFile, RunFolder, read_text, resolved, utc_stamp};
