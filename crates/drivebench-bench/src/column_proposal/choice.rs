@@ -179,6 +179,7 @@ fn compare_with_others(chosen: &mut Chosen, trials: &[Trial<'_>], headers: &[Str
         let names = names.join(", ");
         first.doubts.retain(|doubt| !doubt.contains("may be it as well"));
         first.doubts.push(format!("the file holds another motor too: {names}"));
+        first.confidence = first.confidence.max(Confidence::Likely);
     }
 }
 

@@ -215,6 +215,12 @@ fn supplies_duties_and_unsigned_signals() {
         format!("{t},{},24,{i},{}", u / 24.0, w.abs())
     });
     assert_eq!(of(&found, "speed_rad_s"), "likely w_rad_s*sign(duty)", "{found:#?}");
+    // So does a current beside a set-point of the same motor.
+    let head = "t_ms,m1setvel,m1vel,m1cur,m2setvel,m2vel,m2cur";
+    let found = proposal(head, |_, [t, u, i, w, _]| {
+        format!("{},{u},{w},{},{},{},{}", 1e3 * t, i.abs(), -u, -w, i.abs())
+    });
+    assert_eq!(of(&found, "current_a"), "likely m1cur*sign(m1setvel)", "{found:#?}");
     // A torque that a sensor of the reaction counts.
     let found =
         proposal("t_s,torque_Nm,w_rad_s", |_, [t, _, i, w, _]| format!("{t},{},{w}", -0.05 * i));
