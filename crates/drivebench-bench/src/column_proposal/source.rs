@@ -339,10 +339,10 @@ impl Table<'_> {
                 Quantity::SupplyVoltage => "it is the voltage of the supply, not of the motor",
                 _ => continue,
             };
-            let note: String = reading.notes.iter().map(|note| format!("; {note}")).collect();
-            sources
-                .unused
-                .push((reading.column, format!("{:?}: {why}{note}", self.header(reading.column))));
+            let header = format!("{:?}: {why}", self.header(reading.column));
+            let notes = reading.notes.iter().cloned();
+            let sentence: Vec<String> = [header].into_iter().chain(notes).collect();
+            sources.unused.push((reading.column, sentence.join("; ")));
         }
     }
 }

@@ -2,7 +2,6 @@ use super::*;
 use crate::recording::{ColumnMap, ReadOptions, read_preview};
 use drivebench_model::units::rpm_from_rad_s;
 use proptest::prelude::*;
-use std::fmt::Write as _;
 
 /// Time, voltage, current, speed and angle of a motor under steps of both directions, 2 ms apart.
 fn motor() -> Vec<[f64; 5]> {
