@@ -168,7 +168,7 @@ mod tests {
             ("DriveAppliedVolts", "drive applied", "V"),
             ("Speed (steps/s)", "speed", "counts/s"),
             ("ESC signal (\u{b5}s)", "esc signal", "us"),
-            ("Thrust (N)", "thrust", "other"),
+            ("Thrust (N)", "thrust", "N"),
             ("Winkel [\u{b0}]", "winkel", "degrees"),
             ("Channel A", "channel a", ""),
             ("phase_a", "phase a", ""),
