@@ -22,7 +22,7 @@ use drivebench_model::config_text::help_for_unknown;
 pub(super) struct Arguments {
     /// CSV file of another program or of an instrument
     file: PathBuf,
-    /// Numbers that the file does not contain, as the map names them: POLE_PAIRS=7,SUPPLY_V=24
+    /// Numbers that the file does not contain, as the map names them: `POLE_PAIRS=7,SUPPLY_V=24`
     #[arg(long, value_name = "NAME=VALUE,...", value_parser = given_numbers)]
     number: Option<Given>,
     /// Lines before the header row; without it the header row is found
