@@ -22,8 +22,9 @@ use drivebench_model::config_text::help_for_unknown;
 pub(super) struct Arguments {
     /// CSV file of another program or of an instrument
     file: PathBuf,
-    /// Numbers that the file does not contain, as the map names them: `POLE_PAIRS=7,SUPPLY_V=24`
+    /// Numbers that the file does not contain, as the map names them: POLE_PAIRS=7,SUPPLY_V=24
     #[arg(long, value_name = "NAME=VALUE,...", value_parser = given_numbers)]
+    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     number: Option<Given>,
     /// Lines before the header row; without it the header row is found
     #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
