@@ -128,7 +128,7 @@ const FORMS: &[Form] = &[
 
 /// The map that is printed, and the whole answer.
 fn proposed(file: &Path, numbers: &str) -> Value {
-    let mut arguments = line("map {} --json", &[&file]);
+    let mut arguments = line("map {} --json", &[file]);
     if !numbers.is_empty() {
         arguments.extend(["--number".into(), numbers.into()]);
     }
