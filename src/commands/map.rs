@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
+use crate::report::wording::sanity as words;
 use crate::report::{Document, Tone};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::output::{Terminal, quoted, quoted_word};
@@ -95,7 +96,7 @@ fn unsure(proposal: &Proposal) -> String {
             None => parts.push(item.target.to_owned()),
         }
     }
-    parts.extend(proposal.doubts.first().cloned());
+    parts.extend(proposal.doubts.first().map(words::fault));
     parts.join(", ")
 }
 
@@ -131,6 +132,9 @@ fn json_of(file: &Path, found: &Preview, proposal: &Proposal) -> Value {
     value["rows"] = found.rows.into();
     value["lines_before_headers"] = found.lines_before.into();
     value["confidence"] = json!(proposal.confidence());
+    let doubts =
+        proposal.doubts.iter().map(|doubt| json!({"code": doubt, "sentence": words::fault(doubt)}));
+    value["doubts"] = doubts.collect();
     value["believed"] = proposal.is_believed().into();
     value
 }
@@ -166,7 +170,7 @@ fn document(arguments: &Arguments, found: &Preview, proposal: &Proposal) -> Docu
     let holes = proposal.items.iter().filter_map(|item| item.hole.as_ref());
     document.say("fill in", holes.map(|hole| format!("{}: {}", hole.name, hole.how)), 1);
     document.say("missing", proposal.missing.clone(), 1);
-    document.say("doubt", proposal.doubts.clone(), 1);
+    document.say("doubt", proposal.doubts.iter().map(words::fault), 1);
     document.say("left out", proposal.unused.clone(), 1);
     let holes = proposal.items.iter().filter_map(|item| item.hole.as_ref());
     let names: Vec<String> = holes.map(|hole| format!("{}=VALUE", hole.name)).collect();

@@ -236,7 +236,7 @@ fn settle_signs(time_s: &[f64], chosen: &mut Chosen) {
         chosen.sources[voltage].reasons.push(reason);
         return;
     }
-    let Some((name, value)) = given.impossible() else { return };
+    let Some((key, value)) = given.impossible() else { return };
     for reversed in [current, speed, voltage] {
         chosen.sources[reversed].reverse();
         let values = |place: usize| chosen.sources[place].values.as_slice();
@@ -247,7 +247,8 @@ fn settle_signs(time_s: &[f64], chosen: &mut Chosen) {
             let source = &mut chosen.sources[reversed];
             source.confidence = source.confidence.max(Confidence::Likely);
             source.reasons.push(format!(
-                "turned: as it stands, the balances give {name} of {}, which no motor has; turned, they leave {}",
+                "turned: as it stands, the balances give {} of {}, which no motor has; turned, they leave {}",
+                key.key(),
                 significant(value, 3),
                 figures(&found)
             ));
@@ -260,7 +261,8 @@ fn settle_signs(time_s: &[f64], chosen: &mut Chosen) {
         let source = &mut chosen.sources[place];
         source.confidence = Confidence::Unsure;
         source.doubts.push(format!(
-            "the balances of voltage, current and speed give {name} of {}, which no motor has, in either sign",
+            "the balances of voltage, current and speed give {} of {}, which no motor has, in either sign",
+            key.key(),
             significant(value, 3)
         ));
     }

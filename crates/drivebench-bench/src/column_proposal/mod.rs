@@ -32,7 +32,7 @@ use self::source::{Source, Sources, Table, decimal, filled, quoted};
 use self::time_column::{TimeColumn, rising_rows, time_column};
 use self::units::settle_units;
 use crate::recording::Preview;
-use drivebench_identify::sanity::{self, Kind};
+use drivebench_identify::sanity::{self, Fault, Kind};
 use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::sample::{Channel, Origin, Run};
 
@@ -88,8 +88,8 @@ pub struct Proposal {
     pub items: Vec<Item>,
     /// What no map can do without.
     pub missing: Vec<String>,
-    /// What speaks against the map as a whole.
-    pub doubts: Vec<String>,
+    /// What the judge of records finds wrong with the columns as they are mapped.
+    pub doubts: Vec<Fault>,
     /// Columns that look like something but are not in the map.
     pub unused: Vec<String>,
 }
@@ -289,8 +289,7 @@ fn finish(proposal: &mut Proposal, table: &Table<'_>, mut sources: Sources, mut 
     }
 }
 
-/// What the judge of records says of the columns as they are mapped.
-fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, items: &[Item]) -> Vec<String> {
+fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, items: &[Item]) -> Vec<Fault> {
     let has_hole = items.iter().any(|item| item.hole.is_some());
     let Ok(mut run) = Run::new("preview", table.time_s.clone()) else { return Vec::new() };
     for source in &chosen.sources {
@@ -306,7 +305,7 @@ fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, items: &[Item]) -> Vec<S
     };
     let findings = sanity::examine(&run, &scenario, &Model::default());
     let of_map = findings.into_iter().filter(|finding| is_of_map(finding.kind));
-    of_map.map(|finding| finding.sentence).collect()
+    of_map.map(|finding| finding.fault).collect()
 }
 
 fn time_item(time: &TimeColumn, table: &Table<'_>) -> Item {

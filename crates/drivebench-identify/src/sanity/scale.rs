@@ -471,9 +471,7 @@ mod tests {
             torque_error: 0.0,
         };
         // An armature of 0.5 ms and one of 20 ms, rows 0.5 ms and 20 ms apart.
-        for (factor, to_seconds) in
-            [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9)]
-        {
+        for (factor, to_seconds) in [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9)] {
             for (constant_s, period_s) in [(0.5e-3, 0.5e-3), (0.5e-3, 2e-3), (20e-3, 20e-3)] {
                 let found = time_unit(&balances(constant_s / to_seconds), period_s / to_seconds);
                 if let Some(found) = &found {
