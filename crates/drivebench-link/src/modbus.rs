@@ -302,12 +302,13 @@ impl ModbusLink {
         self.core.live()?;
         let strays = self.after_gap();
         self.judge(strays)?;
-        self.drop_rest()
+        self.drop_rest().map(drop)
     }
 
-    fn drop_rest(&mut self) -> Result<()> {
+    /// Drops what is left, and returns how many bytes of it disturb.
+    fn drop_rest(&mut self) -> Result<usize> {
         let rest = self.filter.inner().reception.drop_rest();
-        self.judge(Ok(rest)).map(drop)
+        self.judge(Ok(rest))
     }
 
     fn after_gap(&mut self) -> std::io::Result<usize> {
@@ -325,7 +326,7 @@ impl ModbusLink {
             self.judge(strays)?;
             let is_over = now() >= until || self.core.bound.is_over(now());
             if is_over || !self.filter.inner().reception.is_copying() {
-                return self.drop_rest();
+                return self.drop_rest().map(drop);
             }
             let step = self.core.timing.gap().max(Duration::from_millis(1));
             let came = self.waiting.until(now() + step, self.filter.listen());
@@ -355,7 +356,8 @@ impl ModbusLink {
             }
             let look = self.core.bound.next_look(now, until);
             let came = self.waiting.until(look, self.filter.listen());
-            if self.judge(came.unwrap_or(Ok(0)))? > 0 {
+            // Also what looks like the beginning of a copy: it may be that of a late reply.
+            if self.judge(came.unwrap_or(Ok(0)))? + self.drop_rest()? > 0 {
                 return Ok(false);
             }
         }

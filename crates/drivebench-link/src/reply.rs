@@ -29,6 +29,8 @@ pub(super) struct Expected {
     pub(super) earlier: VecDeque<(Vec<u8>, bool)>,
     /// This line is known to return requests.
     pub(super) echoes: bool,
+    /// This line is known not to return them: a reply that is no copy of its request came without an echo.
+    pub(super) is_echo_free: bool,
 }
 
 /// Two bytes that prove which request a reply belongs to, and where they stand in its PDU.

@@ -303,7 +303,8 @@ impl Reception {
         if rest.is_some() {
             (self.beside.is_repeated, self.repeated) = (true, true);
             // A reply that is a copy of its request may have been the echo: from now on one copy alone is no reply.
-            self.expected.echoes |= matches!(reply.get(1), Some(5 | 6 | 8));
+            self.expected.echoes |=
+                !self.expected.is_echo_free && matches!(reply.get(1), Some(5 | 6 | 8));
             self.line.stale_frames += 1;
         }
         self.beside.behind += strays.len();
@@ -392,6 +393,7 @@ impl Reception {
             let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
             if found.echo || (self.kind == FrameKind::Rtu && !copies) {
                 self.expected.echoes = found.echo;
+                self.expected.is_echo_free = !found.echo;
             }
             self.line.echoes |= found.echo;
             self.line.bytes_accepted += (end - begin) as u64;
@@ -459,6 +461,7 @@ impl Reception {
             // What is no copy of its reply shows that the line returns requests; a copy alone is no reply from now on.
             if !matches!(request.get(1), Some(5 | 6 | 8)) && self.kind == FrameKind::Rtu {
                 (self.expected.echoes, self.line.echoes) = (true, true);
+                self.expected.is_echo_free = false;
             }
             return Leftover::Unexpected(Unexpected::Echo);
         }
@@ -615,6 +618,25 @@ mod tests {
             reception.push(&request.repeat(copies), now);
             assert_eq!(reception.accept().unwrap(), is_reply, "{request:?}");
             reception.leftover();
+            reception.retire();
+        }
+    }
+
+    /// Where a read came without an echo, an acknowledgement that comes twice is no echo, and the next one alone is a reply.
+    #[test]
+    fn a_repeated_acknowledgement_is_no_echo_where_reads_have_none() {
+        let now = now();
+        let mut reception = Reception::new(FrameKind::Rtu, now);
+        let frame = crate::scripted::frame;
+        let (read, write) = (frame(1, &[3, 0, 0, 0, 1]), frame(1, &[6, 0, 1, 0, 0]));
+        for (request, reply, copies) in [
+            (read, frame(1, &[3, 2, 0, 7]), 1),
+            (write.clone(), write.clone(), 2),
+            (write.clone(), write, 1),
+        ] {
+            reception.expected.request.clone_from(&request);
+            reception.push(&reply.repeat(copies), now);
+            assert!(reception.accept().unwrap(), "{request:?} {copies}");
             reception.retire();
         }
     }
