@@ -8,8 +8,8 @@ use std::sync::{Arc, Mutex};
 use super::witness::drive::{BENCH, Drive, PROFILE};
 use super::witness::fault::Act;
 use super::{
-    BenchFile, CheckOptions, DriveFacts, DriveProfile, FirstMove, Guard, LineClock, Outcome,
-    RunSummary, Session, Surroundings, Waivers, check, on_a_line, one_run,
+    BenchFile, CheckError, CheckOptions, DriveFacts, DriveProfile, FirstMove, Guard, LineClock,
+    Outcome, RunSummary, Session, Surroundings, Waivers, check, on_a_line, one_run,
 };
 use crate::describe::layout;
 use crate::recording::{CommandRow, Event, Record, RecorderStatus, Row, RowOrder};
@@ -109,7 +109,13 @@ fn checked_run(
         stopped: &|| false,
         reset_fault: true,
     };
-    let report = check(link, clock, &bench.limits(), options).unwrap();
+    // A reply that is lost on the way ends the checks, as it must; they are made again.
+    let mut checked = check(link, clock, &bench.limits(), options);
+    while let Err(CheckError::Link(error)) = &checked {
+        assert!(error.is_transient(), "{error}");
+        checked = check(link, clock, &bench.limits(), options);
+    }
+    let report = checked.unwrap();
     assert!(report.refusal().is_none(), "{:?}", report.refusal());
     comparison.order = RowOrder::new(layout(&report.signals));
     let guard = Guard::new(bench.limits(), &nameplate, None).with_period(bench.period_s());

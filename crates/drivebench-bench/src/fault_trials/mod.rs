@@ -18,7 +18,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
 use super::bench_file::BenchFile;
-use super::check::{CheckOptions, FirstMove, Waivers, check};
+use super::check::{CheckError, CheckOptions, FirstMove, Waivers, check};
 use super::clock::Clock;
 use super::guard::Guard;
 use super::live_online::RowEstimator;
