@@ -121,7 +121,7 @@ fn a_log_with_dates_units_and_repeats_gives_the_same_motor() {
     let lines: Vec<String> = rows
         .iter()
         .map(|[time, volts, amps, speed]| {
-            let time_s = format!("{:.9}", 86_399.9 + time.parse::<f64>().unwrap());
+            let time_s = format!("{:.9}", 86_397.0 + time.parse::<f64>().unwrap());
             let (s, fraction) = time_s.split_once('.').unwrap();
             let s: u32 = s.parse().unwrap();
             let (day, hour, minute) = (5 + s / 86_400, s / 3600 % 24, s / 60 % 60);

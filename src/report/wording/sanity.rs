@@ -297,11 +297,11 @@ fn unit(fault: &UnitFault) -> String {
             "{}; one of them is in another unit (counts?), or on the other side of a gear",
             over(over_angle)
         ),
-        UnitFault::Armature { unit, to_s, period_s, time_constant_s } => {
+        UnitFault::Armature { unit, factor, period_s, time_constant_s } => {
             let digits =
                 |of: &f64| if *of < 1e-3 { format!("{of:.3e}") } else { format!("{of:.4}") };
             format!(
-                "time_s seems to be in {unit}, not in s (a factor {to_s} converts it): the rows are {} s apart and the \
+                "time_s seems to be in {unit}, not in s (a factor {factor}): the rows are {} s apart and the \
                  armature would have a time constant L/R of {} s, while none exceeds {LONGEST_ARMATURE_S} s",
                 digits(period_s),
                 digits(time_constant_s)
@@ -400,7 +400,7 @@ fn help_for_unit(fault: &UnitFault, map: &str) -> String {
         UnitFault::OtherUnit { key, factor, .. } => {
             format!("convert it with {map} {key}=COLUMN*{:.9}", 1.0 / factor)
         }
-        UnitFault::OtherTimeUnit { factor, .. } => {
+        UnitFault::OtherTimeUnit { factor, .. } | UnitFault::Armature { factor, .. } => {
             format!("convert it with {map} time_s=COLUMN*{}", 1.0 / factor)
         }
         UnitFault::SpeedAndAngle { to_rad, .. } => format!(
@@ -413,9 +413,6 @@ fn help_for_unit(fault: &UnitFault, map: &str) -> String {
             format!("turn one of them with {map} angle_rad=COLUMN*-1")
         }
         UnitFault::AngleDisagrees { .. } => "map the angle in rad, or leave it out".to_owned(),
-        UnitFault::Armature { to_s, .. } => {
-            format!("convert it with {map} time_s=COLUMN*{to_s}")
-        }
         UnitFault::OtherBasis { .. } => {
             "check on which basis the nameplate and the columns are given".to_owned()
         }

@@ -88,8 +88,8 @@ findings! {
         AngleReversed { over_angle: f64 } = "angle_counts_backward",
         /// The pole pairs that the speed may be electrical by.
         AngleDisagrees { over_angle: f64, pole_pairs: Option<f64> } = "speed_and_angle_disagree",
-        /// The armature has a time constant L/R that none has; `to_s` converts the time as it stands in a map.
-        Armature { unit: &'static str, to_s: &'static str, period_s: f64, time_constant_s: f64 } = "time_constant_of_no_armature",
+        /// The armature has a time constant L/R that none has; so many of the unit are a second.
+        Armature { unit: &'static str, factor: f64, period_s: f64, time_constant_s: f64 } = "time_constant_of_no_armature",
         OtherBasis { evidence: Evidence, basis: Basis } = "other_basis_than_the_model",
         /// Back-EMF constant over that of the model, of the same winding.
         Gear { evidence: Evidence, ratio: f64 } = "gear_in_between",

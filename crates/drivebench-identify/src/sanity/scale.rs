@@ -125,14 +125,14 @@ fn time_unit(found: &Balances, period_s: f64) -> Option<Finding> {
         return None;
     }
     // Rows of a motor are 0.1 s apart at most, and in the unit before that they would be at least 10 s apart.
-    let (unit, to_s) = if period_s < 100.0 && time_constant_s < 1e3 {
-        ("ms", "0.001")
+    let (unit, factor) = if period_s < 100.0 && time_constant_s < 1e3 {
+        ("ms", 1e3)
     } else if period_s < 1e5 && time_constant_s < 1e6 {
-        ("us", "0.000001")
+        ("us", 1e6)
     } else {
-        ("ns", "0.000000001")
+        ("ns", 1e9)
     };
-    let fault = UnitFault::Armature { unit, to_s, period_s, time_constant_s };
+    let fault = UnitFault::Armature { unit, factor, period_s, time_constant_s };
     Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)))
 }
 
@@ -471,12 +471,12 @@ mod tests {
             torque_error: 0.0,
         };
         // An armature of 0.5 ms and one of 20 ms, rows 0.5 ms and 20 ms apart.
-        for (factor, to_seconds) in [("0.001", 1e-3), ("0.000001", 1e-6), ("0.000000001", 1e-9)] {
+        for (unit, to_seconds) in [("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)] {
             for (constant_s, period_s) in [(0.5e-3, 0.5e-3), (0.5e-3, 2e-3), (20e-3, 20e-3)] {
                 let found = time_unit(&balances(constant_s / to_seconds), period_s / to_seconds);
                 if let Some(found) = &found {
                     let text = format!("{:?}", found.fault);
-                    assert!(text.contains(&format!("to_s: {factor:?}")), "{constant_s}: {text}");
+                    assert!(text.contains(&format!("{unit:?}")), "{constant_s}: {text}");
                 }
                 // Half a millisecond written in ms could be half a second.
                 assert_eq!(found.is_some(), constant_s / to_seconds > 1.0);
