@@ -30,6 +30,32 @@ pub(super) fn run_path() -> impl TypedValueParser<Value = PathBuf> {
     PathBufValueParser::new().map(|path| resolved(&path))
 }
 
+/// How the lines and cells of a foreign file are read.
+#[derive(Args, Clone, Debug, Default)]
+pub(super) struct TextArguments {
+    /// Lines before the header row of a foreign CSV; without it the header row is found
+    #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
+    skip: Option<u16>,
+    /// Cells that stand for a missing value, beside empty ones and NaN: '#N/A,ERR,-9999'
+    #[arg(long, value_name = "CELL,...")]
+    missing: Option<MissingValues>,
+}
+
+impl TextArguments {
+    pub(super) fn options(&self) -> ReadOptions<'_> {
+        let skip = self.skip.map(usize::from);
+        ReadOptions { skip, missing: self.missing.as_ref(), ..ReadOptions::default() }
+    }
+
+    /// The options as they are given, for the commands that follow; each with a space before it.
+    pub(super) fn words(&self) -> String {
+        let skip = self.skip.map(|lines| option_words(("skip", &lines.to_string())));
+        let missing = self.missing.as_ref().map(ToString::to_string);
+        let missing = missing.map(|cells| option_words(("missing", &cells)));
+        skip.into_iter().chain(missing).collect()
+    }
+}
+
 /// How a foreign file is read.
 #[derive(Args, Clone, Debug, Default)]
 pub(super) struct FileArguments {
@@ -39,12 +65,8 @@ pub(super) struct FileArguments {
     #[arg(long, value_name = "MAP")]
     #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     map: Option<String>,
-    /// Lines before the header row of a foreign CSV; without it the header row is found
-    #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
-    skip: Option<u16>,
-    /// Cells that stand for a missing value, beside empty ones and NaN: '#N/A,ERR,-9999'
-    #[arg(long, value_name = "CELL,...")]
-    missing: Option<MissingValues>,
+    #[command(flatten)]
+    text: TextArguments,
 }
 
 impl FileArguments {
@@ -55,21 +77,13 @@ impl FileArguments {
 
     /// The options with this map.
     pub(super) fn options<'a>(&'a self, map: Option<&'a ColumnMap>) -> ReadOptions<'a> {
-        ReadOptions {
-            map,
-            skip: self.skip.map(usize::from),
-            missing: self.missing.as_ref(),
-            in_run_folder: false,
-        }
+        ReadOptions { map, ..self.text.options() }
     }
 
     /// The options as they are given, for the commands that follow; each with a space before it.
     fn words(&self) -> String {
-        let skip = self.skip.map(|lines| lines.to_string());
-        let missing = self.missing.as_ref().map(ToString::to_string);
-        let options = [("map", &self.map), ("skip", &skip), ("missing", &missing)];
-        let given = options.into_iter().filter_map(|(name, text)| Some((name, text.as_deref()?)));
-        given.map(option_words).collect()
+        let map = self.map.as_deref().map(|map| option_words(("map", map)));
+        map.unwrap_or_default() + &self.text.words()
     }
 }
 

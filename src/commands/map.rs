@@ -3,16 +3,15 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use serde_json::{Value, json};
-
-use crate::report::wording::sanity as words;
+use crate::commands::arguments::TextArguments;
+use crate::report::wording::{columns, json, sanity};
 use crate::report::{Document, Tone};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::output::{Terminal, quoted, quoted_word};
 use drivebench_bench::column_proposal::{
     Confidence, Item, Proposal, known_headers, numbers, propose,
 };
-use drivebench_bench::recording::{MissingValues, Preview, ReadOptions, preview};
+use drivebench_bench::recording::{Preview, ReadOptions, preview};
 use drivebench_model::config_text::help_for_unknown;
 
 /// Propose which column of a foreign CSV is which quantity, with the reasons: the --map of the other commands
@@ -27,12 +26,8 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "NAME=VALUE,...", value_parser = given_numbers)]
     #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     number: Option<Given>,
-    /// Lines before the header row; without it the header row is found
-    #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
-    skip: Option<u16>,
-    /// Cells that stand for a missing value, beside empty ones and NaN: '#N/A,ERR,-9999'
-    #[arg(long, value_name = "CELL,...")]
-    missing: Option<MissingValues>,
+    #[command(flatten)]
+    text: TextArguments,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -59,14 +54,12 @@ fn given_numbers(text: &str) -> Result<Given, String> {
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
-    let options = ReadOptions {
-        skip: arguments.skip.map(usize::from),
-        missing: arguments.missing.as_ref(),
-        ..ReadOptions::default()
-    };
-    let found = preview(&arguments.file, options, known_headers)?;
+    let found = preview(&arguments.file, arguments.text.options(), known_headers)?;
     let proposal = propose(&found, arguments.number.as_ref().unwrap_or(&Given::new()));
-    let value = json_of(&arguments.file, &found, &proposal);
+    let mut value = json::map(&proposal);
+    value["file"] = arguments.file.display().to_string().into();
+    value["rows"] = found.rows.into();
+    value["lines_before_headers"] = found.lines_before.into();
     let document = document(arguments, &found, &proposal);
     terminal.document(&value, arguments.json, true, &document)?;
     if proposal.is_own || proposal.is_believed() {
@@ -74,10 +67,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     }
     let file = arguments.file.display();
     let (headline, help) = match &proposal.map {
-        None => (
-            format!("{file}: no map, for it lacks {}", proposal.missing.join(", and ")),
-            "name the columns with --map yourself, as far as the file has them",
-        ),
+        None => {
+            let missing: Vec<String> = proposal.missing.iter().map(columns::missing).collect();
+            (
+                format!("{file}: no map, for it lacks {}", missing.join(", and ")),
+                "name the columns with --map yourself, as far as the file has them",
+            )
+        }
         Some(_) => (
             format!("{file}: the map is unsure: {}", unsure(&proposal)),
             "settle what is doubted above, and give the map to the other commands",
@@ -96,7 +92,7 @@ fn unsure(proposal: &Proposal) -> String {
             None => parts.push(item.target.to_owned()),
         }
     }
-    parts.extend(proposal.doubts.first().map(words::fault));
+    parts.extend(proposal.doubts.first().map(sanity::fault));
     parts.join(", ")
 }
 
@@ -116,32 +112,10 @@ pub(super) fn map_help(file: &Path, options: ReadOptions<'_>) -> Option<String> 
     })
 }
 
-impl Arguments {
-    /// File and options of reading as they are given.
-    fn words(&self) -> String {
-        let skip = self.skip.map(|lines| format!(" --skip {lines}"));
-        let missing = self.missing.as_ref().map(ToString::to_string);
-        let missing = missing.map(|cells| format!(" --missing {}", quoted_word(&cells)));
-        [quoted(&self.file)].into_iter().chain(skip).chain(missing).collect()
-    }
-}
-
-fn json_of(file: &Path, found: &Preview, proposal: &Proposal) -> Value {
-    let mut value = json!(proposal);
-    value["file"] = file.display().to_string().into();
-    value["rows"] = found.rows.into();
-    value["lines_before_headers"] = found.lines_before.into();
-    value["confidence"] = json!(proposal.confidence());
-    let doubts =
-        proposal.doubts.iter().map(|doubt| json!({"code": doubt, "sentence": words::fault(doubt)}));
-    value["doubts"] = doubts.collect();
-    value["believed"] = proposal.is_believed().into();
-    value
-}
-
 fn document(arguments: &Arguments, found: &Preview, proposal: &Proposal) -> Document {
-    let (file, words) = (&arguments.file, arguments.words());
-    let tool = proposal.tool.as_ref().map_or_else(String::new, |tool| format!(", a log of {tool}"));
+    let file = &arguments.file;
+    let words = quoted(file) + &arguments.text.words();
+    let tool = proposal.tool.map_or_else(String::new, |tool| format!(", a log of {tool}"));
     let size =
         format!("{}{tool}: {} rows, {} columns", file.display(), found.rows, found.headers.len());
     let (tone, verdict) = match (&proposal.map, proposal.confidence()) {
@@ -162,18 +136,16 @@ fn document(arguments: &Arguments, found: &Preview, proposal: &Proposal) -> Docu
         let confidence = item.confidence.name();
         let head =
             format!("{confidence}{}: {}={}", hole.unwrap_or_default(), item.target, item.source);
-        let doubts = item.doubts.iter().map(|doubt| format!("but {doubt}"));
-        let all: Vec<String> = [head, item.reasons.join("; ")].into_iter().chain(doubts).collect();
+        let doubts = item.doubts.iter().map(|doubt| format!("but {}", columns::doubt(doubt)));
+        let all = [head, columns::all(&item.reasons)].into_iter().chain(doubts);
         let label = item.target.split('_').next().unwrap_or_default();
         document.say(label, all, 1);
     }
-    let holes = proposal.items.iter().filter_map(|item| item.hole.as_ref());
-    document.say("fill in", holes.map(|hole| format!("{}: {}", hole.name, hole.how)), 1);
-    document.say("missing", proposal.missing.clone(), 1);
-    document.say("doubt", proposal.doubts.iter().map(words::fault), 1);
-    document.say("left out", proposal.unused.clone(), 1);
-    let holes = proposal.items.iter().filter_map(|item| item.hole.as_ref());
-    let names: Vec<String> = holes.map(|hole| format!("{}=VALUE", hole.name)).collect();
+    document.say("fill in", proposal.holes().map(|hole| format!("{}: {}", hole.name, hole.how)), 1);
+    document.say("missing", proposal.missing.iter().map(columns::missing), 1);
+    document.say("doubt", proposal.doubts.iter().map(sanity::fault), 1);
+    document.say("left out", proposal.unused.iter().map(columns::unused), 1);
+    let names: Vec<String> = proposal.holes().map(|hole| format!("{}=VALUE", hole.name)).collect();
     if !names.is_empty() {
         document.go_on(format!("drivebench map {words} --number {}", names.join(",")));
     }

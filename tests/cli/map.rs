@@ -116,6 +116,13 @@ const FORMS: &[Form] = &[
         verdict: "LIKELY",
     },
     Form {
+        name: "Rigol",
+        head: "X,CH1,CH2,CH3,Start,Increment\nSequence,Volt,Ampere,Volt,0,0.005\n",
+        row: |[t, u, i, w, _]| format!("{:.0},{u},{i},{},,", t / 0.005, w / 50.0),
+        numbers: "RAD_S_PER_VOLT=50",
+        verdict: "LIKELY",
+    },
+    Form {
         name: "a microcontroller",
         head: "millis,pwm,vbat,current,rpm\n",
         row: |[t, u, i, w, _]| {

@@ -1,12 +1,13 @@
 //! Results as JSON: their own form, with a sentence for each code.
 
 use serde::{Serialize, Serializer};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::{
-    candidate, change, diagnosis, drift, limits, location, nameplate, next_run, probe, sanity,
-    versus,
+    candidate, change, columns, diagnosis, drift, limits, location, nameplate, next_run, probe,
+    sanity, versus,
 };
+use drivebench_bench::column_proposal::Proposal;
 use drivebench_diagnose::{
     AddResult, Comparison, Diagnosis, FailureLocation, Limit, NextExperiment, Versus,
 };
@@ -25,6 +26,11 @@ fn each<T>(list: &mut Value, found: &[T], key: &str, sentence: impl Fn(&T) -> St
     for (value, found) in list.as_array_mut().into_iter().flatten().zip(found) {
         value[key] = sentence(found).into();
     }
+}
+
+/// Codes with their sentences.
+fn coded<T: Serialize>(found: &[T], sentence: impl Fn(&T) -> String) -> Value {
+    found.iter().map(|own| json!({"code": own, "sentence": sentence(own)})).collect()
 }
 
 fn locations(list: &mut Value, found: &[FailureLocation]) {
@@ -124,6 +130,20 @@ pub fn sanity(found: &[Finding]) -> Value {
         value["help"] = help.into();
     }
     list
+}
+
+pub fn map(found: &Proposal) -> Value {
+    let mut value = own(found);
+    for (value, item) in value["items"].as_array_mut().into_iter().flatten().zip(&found.items) {
+        value["reasons"] = coded(&item.reasons, columns::reason);
+        value["doubts"] = coded(&item.doubts, columns::doubt);
+    }
+    value["missing"] = coded(&found.missing, columns::missing);
+    value["doubts"] = coded(&found.doubts, sanity::fault);
+    value["unused"] = coded(&found.unused, columns::unused);
+    value["confidence"] = json!(found.confidence());
+    value["believed"] = found.is_believed().into();
+    value
 }
 
 pub fn probe(found: &ProbeReport) -> Value {

@@ -7,6 +7,7 @@
 
 pub mod candidate;
 pub mod change;
+pub mod columns;
 pub mod diagnosis;
 pub mod drift;
 pub mod json;
@@ -20,6 +21,7 @@ pub mod residual;
 pub mod sanity;
 pub mod versus;
 
+use drivebench_bench::column_proposal as proposals;
 use drivebench_diagnose as diagnose;
 use drivebench_identify::balance::Derivation;
 use drivebench_identify::noise::FloorSource;
@@ -72,4 +74,8 @@ pub const CODES: &[(&str, &[&str])] = &[
     ("findings: a signal", faults::SignalFault::CODES),
     ("findings: the assignment of columns", faults::ColumnFault::CODES),
     ("findings: a unit", faults::UnitFault::CODES),
+    ("map: reasons", proposals::Reason::CODES),
+    ("map: doubts of a column", proposals::Doubt::CODES),
+    ("map: missing", proposals::Missing::CODES),
+    ("map: unused", proposals::Unused::CODES),
 ];

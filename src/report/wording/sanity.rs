@@ -11,7 +11,7 @@ use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
 
 const DEGREES: f64 = 180.0 / PI;
 /// Factors of the commands that convert a column.
-const RAD_S_PER_RPM: &str = "0.104719755";
+pub(super) const RAD_S_PER_RPM: &str = "0.104719755";
 const RAD_PER_DEGREE: &str = "0.017453293";
 /// The option that maps the columns of the run.
 pub const MAP: &str = "--map";
@@ -196,7 +196,7 @@ fn help_for_signal(fault: &SignalFault) -> String {
 }
 
 /// A coefficient as the balances give it.
-fn gives(&(key, value): &(MotorKey, f64)) -> String {
+pub(super) fn gives(&(key, value): &(MotorKey, f64)) -> String {
     let name = match key {
         MotorKey::Inertia => "an inertia",
         MotorKey::BackEmf => "a back-EMF constant",

@@ -1,12 +1,15 @@
-//! The table of known columns, `known_columns.toml`: units, words, symbols, programs and instruments.
+//! The table of known columns, `known_columns.toml`: words, symbols, programs and instruments. Units are those of
+//! [`drivebench_identify::sanity`].
 
+use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
-use drivebench_identify::sanity::unit_of;
-use serde::{Deserialize, Serialize};
+use drivebench_identify::sanity::any_unit;
+use drivebench_model::text::number::shortest;
+use serde::Deserialize;
 
 /// What a column of a foreign log holds.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Quantity {
     Time,
@@ -35,71 +38,89 @@ pub enum Quantity {
     Other,
 }
 
-/// How a value becomes SI.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Factor {
-    Known(f64),
-    /// An expression with one number that the file does not contain: `A/NAME`, `A*NAME` or `NAME`.
-    Hole(String),
+/// What a column is multiplied by to be SI.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Factor {
+    pub value: f64,
+    /// Name and power of a number that the file does not contain.
+    pub number: Option<(&'static str, i32)>,
 }
 
-/// A unit of a column.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) struct Unit {
-    pub quantity: Quantity,
-    pub name: String,
-    pub factor: Factor,
-}
+impl Factor {
+    pub(super) const ONE: Self = Self { value: 1.0, number: None };
 
-/// A unit that the reader of files does not convert by itself.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct FurtherUnit {
-    quantity: Quantity,
-    name: String,
-    spellings: String,
-    factor: Option<String>,
-    hole: Option<String>,
-}
+    pub(super) const fn of(value: f64) -> Self {
+        Self { value, ..Self::ONE }
+    }
 
-impl FurtherUnit {
-    fn unit(&self) -> Unit {
-        let known = self.factor.as_ref().and_then(|factor| factor.parse().ok());
-        let factor = match &self.hole {
-            Some(hole) => Factor::Hole(hole.clone()),
-            None => Factor::Known(known.unwrap_or(1.0)),
+    pub(super) const fn times(self, number: &'static str) -> Self {
+        Self { number: Some((number, 1)), ..self }
+    }
+
+    pub(super) const fn over(self, number: &'static str) -> Self {
+        Self { number: Some((number, -1)), ..self }
+    }
+
+    /// `A`, `A*NAME` or `A/NAME`.
+    pub(super) fn parsed(text: &'static str) -> Option<Self> {
+        let (value, number) = match text.split_once('*') {
+            Some((value, number)) => (value, Some((number, 1))),
+            None => text
+                .split_once('/')
+                .map_or((text, None), |(value, number)| (value, Some((number, -1)))),
         };
-        Unit { quantity: self.quantity, name: self.name.clone(), factor }
+        Some(Self { value: value.parse().ok()?, number })
+    }
+
+    /// With its number, where that is given.
+    pub(super) fn filled(self, given: &BTreeMap<String, f64>) -> Self {
+        let number = self.number.and_then(|(name, power)| Some(given.get(name)?.powi(power)));
+        number.map_or(self, |number| Self::of(self.value * number))
+    }
+
+    pub(super) fn is_one(&self) -> bool {
+        self.number.is_none() && (self.value - 1.0).abs() < 1e-12
+    }
+
+    /// As it stands in a map behind the star, the number in braces; ten figures without an exponent.
+    pub(super) fn text(&self) -> String {
+        let value = shortest(self.value, 10).parse().unwrap_or(self.value);
+        match self.number {
+            None => value.to_string(),
+            Some((name, 1)) if Self::of(value).is_one() => format!("{{{name}}}"),
+            Some((name, 1)) => format!("{{{value}*{name}}}"),
+            Some((name, _)) => format!("{{{value}/{name}}}"),
+        }
     }
 }
 
-/// Targets of a map, and what their units are of.
-const OF_TARGETS: [(&str, Quantity); 7] = [
-    ("time_s", Quantity::Time),
-    ("voltage_v", Quantity::Voltage),
-    ("current_a", Quantity::Current),
-    ("speed_rad_s", Quantity::Speed),
-    ("angle_rad", Quantity::Angle),
-    ("torque_n_m", Quantity::Torque),
-    ("temperature_c", Quantity::Other),
-];
-
-/// A number that a map may need and no file contains.
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(super) struct Number {
-    pub name: String,
-    pub how: String,
+/// A unit of a column.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Unit {
+    pub quantity: Quantity,
+    pub name: &'static str,
+    pub factor: Factor,
 }
 
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Word {
-    quantity: Quantity,
-    names: String,
+impl Unit {
+    /// The unit with this spelling.
+    pub(super) fn of(text: &str) -> Option<Self> {
+        let (target, unit) = any_unit(&plain(text))?;
+        let quantity = match target {
+            "time_s" => Quantity::Time,
+            "voltage_v" => Quantity::Voltage,
+            "current_a" => Quantity::Current,
+            "speed_rad_s" => Quantity::Speed,
+            "angle_rad" => Quantity::Angle,
+            "torque_n_m" => Quantity::Torque,
+            "duty" => Quantity::Duty,
+            _ => Quantity::Other,
+        };
+        Some(Self { quantity, name: unit.name, factor: Factor::parsed(unit.factor)? })
+    }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum Qualifier {
     Commanded,
@@ -109,13 +130,6 @@ pub(super) enum Qualifier {
     QuadratureAxis,
     Derived,
     Rms,
-}
-
-#[derive(Debug, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct QualifierWords {
-    kind: Qualifier,
-    names: String,
 }
 
 /// A whole header that is a symbol.
@@ -136,7 +150,6 @@ pub(super) struct Tool {
     pub name: String,
     signature: Vec<String>,
     needs: usize,
-    #[serde(rename = "column")]
     columns: Vec<ToolColumn>,
 }
 
@@ -148,7 +161,7 @@ pub(super) struct ToolColumn {
     pub unit: Option<String>,
     /// The usual one, where the program leaves it to its user.
     pub likely_unit: Option<String>,
-    pub factor: Option<String>,
+    pub factor: Option<f64>,
     /// Of columns of one quantity that with the smallest is the first choice.
     #[serde(default)]
     pub rank: u8,
@@ -158,14 +171,10 @@ pub(super) struct ToolColumn {
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Known {
-    #[serde(rename = "unit")]
-    units: Vec<FurtherUnit>,
-    #[serde(rename = "number")]
-    numbers: Vec<Number>,
-    #[serde(rename = "word")]
-    words: Vec<Word>,
-    #[serde(rename = "qualifier")]
-    qualifiers: Vec<QualifierWords>,
+    /// Numbers that a map may need and no file contains, and how to find each.
+    pub numbers: BTreeMap<String, String>,
+    words: BTreeMap<Quantity, String>,
+    qualifiers: BTreeMap<Qualifier, String>,
     #[serde(rename = "symbol")]
     symbols: Vec<Symbol>,
     #[serde(rename = "tool")]
@@ -176,53 +185,36 @@ static KNOWN: LazyLock<Known> = LazyLock::new(|| {
     toml::from_str(include_str!("known_columns.toml")).expect("a test parses the embedded table")
 });
 
+/// What a word stands for, alone or as the part of a compound.
+fn meaning<K: Copy>(
+    table: &BTreeMap<K, String>,
+    word: &str,
+    is_part: impl Fn(&str) -> bool,
+) -> Option<K> {
+    let of = |is: &dyn Fn(&str) -> bool| {
+        table.iter().find(|(_, names)| names.split(' ').any(is)).map(|(key, _)| *key)
+    };
+    of(&|name| name == word).or_else(|| of(&is_part))
+}
+
 impl Known {
     pub(super) fn get() -> &'static Self {
         &KNOWN
     }
 
-    /// The unit with this spelling.
-    pub(super) fn unit(&self, text: &str) -> Option<Unit> {
-        let text = plain(text);
-        let further = self.units.iter().find(|unit| has(&unit.spellings, &text));
-        further.map(FurtherUnit::unit).or_else(|| {
-            OF_TARGETS.iter().find_map(|(target, quantity)| {
-                let found = unit_of(target, &text)?;
-                // Behind a blank stands what the unit is to that of the target.
-                let name = found.name.split(" (").next().unwrap_or(found.name).to_owned();
-                let factor = Factor::Known(found.factor.parse().ok()?);
-                Some(Unit { quantity: *quantity, name, factor })
-            })
-        })
-    }
-
-    pub(super) fn numbers(&self) -> impl Iterator<Item = &Number> + Clone {
-        self.numbers.iter()
-    }
-
-    /// The first number of the table that stands in an expression.
-    pub(super) fn number_in(&self, hole: &str) -> Option<&Number> {
-        self.numbers.iter().find(|number| hole.split(['*', '/']).any(|part| part == number.name))
-    }
-
     /// The quantity of a word; a long word may stand at the end of a compound, as in `Motorstrom`.
     pub(super) fn word(&self, token: &str) -> Option<Quantity> {
-        let exact = self.words.iter().find(|word| has(&word.names, token));
-        let ends = |name: &str| name.len() >= 5 && token.ends_with(name);
-        let compound = || self.words.iter().find(|word| word.names.split(' ').any(ends));
-        exact.or_else(compound).map(|word| word.quantity)
+        meaning(&self.words, token, |name| name.len() >= 5 && token.ends_with(name))
     }
 
     pub(super) fn qualifier(&self, token: &str) -> Option<Qualifier> {
         let begins =
             |name: &str| name.len() >= 4 && token.len() > name.len() + 3 && token.starts_with(name);
-        let exact = self.qualifiers.iter().find(|words| has(&words.names, token));
-        let compound = || self.qualifiers.iter().find(|words| words.names.split(' ').any(begins));
-        exact.or_else(compound).map(|words| words.kind)
+        meaning(&self.qualifiers, token, begins)
     }
 
     pub(super) fn symbol(&self, header: &str) -> Option<&Symbol> {
-        self.symbols.iter().find(|symbol| has(&symbol.names, header))
+        self.symbols.iter().find(|symbol| symbol.names.split(' ').any(|name| name == header))
     }
 
     /// The program or instrument that writes such headers.
@@ -240,10 +232,6 @@ impl Tool {
         let header = plain(header);
         self.columns.iter().find(|column| fits(&column.header, &header))
     }
-}
-
-fn has(names: &str, text: &str) -> bool {
-    names.split(' ').any(|name| name == text)
 }
 
 /// Whether a text fits a pattern, in which a star stands for any text and a question mark for one letter. No header is longer.
@@ -300,36 +288,25 @@ mod tests {
     #[test]
     fn the_table_is_whole() {
         let known = Known::get();
-        for unit in &known.units {
-            assert!(unit.factor.is_some() != unit.hole.is_some(), "{}", unit.name);
-            let is_number = unit.factor.as_ref().is_none_or(|factor| factor.parse::<f64>().is_ok());
-            assert!(is_number, "{}", unit.name);
-            let hole = unit.hole.as_ref().is_none_or(|hole| known.number_in(hole).is_some());
-            assert!(hole, "{}: no number explains its hole", unit.name);
-            for spelling in unit.spellings.split(' ') {
-                assert_eq!(plain(spelling), spelling, "{}", unit.name);
-                let same = known.unit(spelling).map(|found| found.name);
-                assert_eq!(same.as_ref(), Some(&unit.name), "{spelling} stands in two units");
-            }
-        }
         for tool in &known.tools {
             assert!(tool.needs >= 1 && tool.needs <= tool.signature.len(), "{}", tool.name);
             for column in &tool.columns {
                 assert_eq!(plain(&column.header), column.header, "{}", tool.name);
                 let units = [&column.unit, &column.likely_unit].into_iter().flatten();
                 for unit in units {
-                    assert!(known.unit(unit).is_some(), "{}: {unit}", tool.name);
+                    assert!(Unit::of(unit).is_some(), "{}: {unit}", tool.name);
                 }
-                let factor = column.factor.as_ref();
-                assert!(factor.is_none_or(|factor| factor.parse::<f64>().is_ok()));
             }
         }
         let units = known.symbols.iter().filter_map(|symbol| symbol.unit.as_ref());
-        assert!(units.into_iter().all(|unit| known.unit(unit).is_some()));
-        let names = known.words.iter().map(|word| &word.names);
-        let names = names.chain(known.qualifiers.iter().map(|words| &words.names));
+        assert!(units.into_iter().all(|unit| Unit::of(unit).is_some()));
+        let names = known.words.values().chain(known.qualifiers.values());
         for name in names.flat_map(|names| names.split(' ')) {
             assert_eq!(plain(name), name);
+        }
+        for unit in ["counts/s", "counts", "permille"] {
+            let number = Unit::of(unit).and_then(|unit| unit.factor.number).unwrap();
+            assert!(known.numbers.contains_key(number.0), "{unit}");
         }
     }
 

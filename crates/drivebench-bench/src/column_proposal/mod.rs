@@ -5,12 +5,13 @@
 //!         -> time_column
 //!         -> source: candidates of each quantity -> choice: which belong together, and their signs  <- both balances
 //!         -> units: speed against angle
-//!         -> Proposal: a map, each column with its reasons and doubts, holes, what is missing
+//!         -> Proposal: a map, each column with its reasons and doubts, holes, what is missing; findings are codes with figures
 //! ```
 //!
-//! Nothing is believed without a reason. A number that the file does not contain, as the pole pairs, is a hole in the map.
+//! Nothing is taken without a reason. A number that the file does not contain, as the pole pairs, is a hole in the map.
 
 mod choice;
+mod finding;
 mod header;
 mod known;
 mod reading;
@@ -18,18 +19,18 @@ mod source;
 mod time_column;
 mod units;
 
+pub use finding::{Doubt, Missing, Reason, Unused};
 pub use known::Quantity;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use serde::Serialize;
 
 use self::choice::{Chosen, choose, settle_torque};
-use self::known::{Factor, Known, Tool};
+use self::known::{Known, Tool};
 use self::reading::{Reading, readings};
-use self::source::{Source, Sources, Table, decimal, filled, quoted};
-use self::time_column::{TimeColumn, rising_rows, time_column};
+use self::source::{Source, Sources, Table};
+use self::time_column::{rising_rows, time_column};
 use self::units::settle_units;
 use crate::recording::Preview;
 use drivebench_identify::sanity::{self, Fault, Kind};
@@ -62,45 +63,48 @@ pub struct Item {
     /// As it stands in the map behind the `=`.
     pub source: String,
     pub confidence: Confidence,
-    pub reasons: Vec<String>,
-    pub doubts: Vec<String>,
+    pub reasons: Vec<Reason>,
+    pub doubts: Vec<Doubt>,
     /// The number that has to be filled in.
     pub hole: Option<Hole>,
 }
 
 /// A number that the file does not contain.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub struct Hole {
-    pub name: String,
+    pub name: &'static str,
     /// How to find it.
-    pub how: String,
+    pub how: &'static str,
 }
 
 /// The likely map of a file.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Proposal {
     /// The program or instrument that writes such headers.
-    pub tool: Option<String>,
+    pub tool: Option<&'static str>,
     /// The headers are those of this program: no map is needed.
     pub is_own: bool,
     /// The map, with its holes in braces; `None` where it lacks a quantity without which nothing is identified.
     pub map: Option<String>,
     pub items: Vec<Item>,
     /// What no map can do without.
-    pub missing: Vec<String>,
-    /// What the judge of records finds wrong with the columns as they are mapped.
+    pub missing: Vec<Missing>,
+    /// Faults of the record with the columns as they are mapped.
     pub doubts: Vec<Fault>,
-    /// Columns that look like something but are not in the map.
-    pub unused: Vec<String>,
+    /// Columns that may hold something but are not in the map.
+    pub unused: Vec<Unused>,
 }
 
 impl Proposal {
+    pub fn holes(&self) -> impl Iterator<Item = Hole> {
+        self.items.iter().filter_map(|item| item.hole)
+    }
+
     /// That of the least certain quantity; a hole is not certain.
     pub fn confidence(&self) -> Confidence {
-        let has_hole = self.items.iter().any(|item| item.hole.is_some());
-        let is_doubted = self.map.is_none() || has_hole || !self.doubts.is_empty();
+        let is_open = self.map.is_none() || !self.doubts.is_empty() || self.holes().count() > 0;
         let least = self.items.iter().map(|item| item.confidence).max();
-        if is_doubted { Confidence::Unsure } else { least.unwrap_or(Confidence::Unsure) }
+        least.filter(|_| !is_open).unwrap_or(Confidence::Unsure)
     }
 
     /// A map that is complete and of which no quantity is unsure.
@@ -111,7 +115,7 @@ impl Proposal {
 
 /// The numbers that may be given, as the pole pairs.
 pub fn numbers() -> impl Iterator<Item = &'static str> + Clone {
-    Known::get().numbers().map(|number| number.name.as_str())
+    Known::get().numbers.keys().map(String::as_str)
 }
 
 /// Headers of a line, where they are those of a program or an instrument: for [`crate::recording::preview`].
@@ -123,47 +127,36 @@ pub fn known_headers(headers: &[String]) -> usize {
 pub fn propose(preview: &Preview, given: &BTreeMap<String, f64>) -> Proposal {
     let tool = Known::get().tool(&preview.headers);
     let mut proposal = Proposal {
-        tool: tool.map(|tool| tool.name.clone()),
+        tool: tool.map(|tool| tool.name.as_str()),
         is_own: is_own(&preview.headers),
-        map: None,
-        items: Vec::new(),
-        missing: Vec::new(),
-        doubts: Vec::new(),
-        unused: Vec::new(),
+        ..Proposal::default()
     };
     if proposal.is_own {
         return proposal;
     }
-    let readings = all_readings(preview, tool);
-    let time = match time_column(preview, &readings) {
-        Ok(time) => Some(time),
-        Err(why) => {
-            proposal.missing.push(why);
-            None
-        }
-    };
+    let mut readings = all_readings(preview, tool);
+    let time = time_column(preview, &readings, given);
     let stamps: Vec<f64> = match &time {
-        Some(time) => {
-            let period = match &time.factor {
-                Factor::Hole(hole) => filled(hole, given),
-                Factor::Known(_) => None,
-            };
-            time.time_s.iter().map(|stamp| stamp * period.unwrap_or(1.0)).collect()
-        }
-        None => (0_u32..).map(f64::from).take(preview.columns[0].numbers.len()).collect(),
+        Ok(time) => time.values.clone(),
+        Err(_) => (0_u32..).map(f64::from).take(preview.columns[0].numbers.len()).collect(),
     };
     let rows = rising_rows(&stamps);
     let time_s = rows.iter().map(|row| stamps[*row]).collect();
     let table = Table { preview, rows, time_s, given };
-    if let Some(time) = &time {
-        proposal.items.push(time_item(time, &table));
+    if let Ok(time) = &time {
+        readings.retain(|reading| !time.columns.contains(&reading.column));
     }
-    let is_time =
-        |reading: &&Reading| time.as_ref().is_none_or(|time| time.column != reading.column);
-    let others: Vec<Reading> = readings.iter().filter(is_time).cloned().collect();
-    let mut sources = table.sources(&others);
-    let chosen = settled(&table, &mut sources);
-    finish(&mut proposal, &table, sources, chosen);
+    let mut sources = table.sources(&readings);
+    table.give_directions(&mut sources);
+    let mut chosen = choose(&table.time_s, &sources, &preview.headers);
+    settle_torque(&table.time_s, &mut chosen);
+    let mut angle = sources.first(Channel::Angle);
+    settle_units(&table.time_s, &mut chosen, angle.as_mut());
+    match time {
+        Ok(time) => chosen.sources.insert(0, time),
+        Err(missing) => proposal.missing.push(missing),
+    }
+    finish(&mut proposal, &table, sources, (chosen, angle));
     proposal
 }
 
@@ -176,13 +169,14 @@ fn is_own(headers: &[String]) -> bool {
 /// Without a name that is known, every column is a channel that may hold anything.
 fn all_readings(preview: &Preview, tool: Option<&'static Tool>) -> Vec<Reading> {
     let mut found = readings(preview, tool);
-    for (column, cells) in preview.columns.iter().enumerate() {
+    let is_named = |column: &usize| !preview.headers[*column].is_empty();
+    let columns = (0..preview.headers.len()).filter(is_named);
+    for column in columns.clone().filter(|column| preview.columns[*column].is_clock) {
         let is_time =
             |reading: &Reading| reading.column == column && reading.quantity == Quantity::Time;
-        let is_named = !preview.headers[column].is_empty();
-        if cells.is_clock && is_named && !found.iter().any(is_time) {
+        if !found.iter().any(is_time) {
             found.retain(|reading| reading.column != column);
-            found.push(Reading::of_clock(column, &preview.headers[column]));
+            found.push(Reading::new(column, Quantity::Time, None, None, Reason::Clocks));
         }
     }
     let is_useful = |reading: &Reading| {
@@ -190,110 +184,96 @@ fn all_readings(preview: &Preview, tool: Option<&'static Tool>) -> Vec<Reading> 
     };
     if !found.iter().any(is_useful) {
         let is_free = |column: &usize| found.iter().all(|reading| reading.column != *column);
-        let is_named = |column: &usize| !preview.headers[*column].is_empty();
-        let columns = (0..preview.headers.len()).filter(is_named);
-        let free: Vec<usize> = columns.filter(is_free).collect();
-        found.extend(free.into_iter().map(Reading::of_unknown));
+        let unknown =
+            |column| Reading::new(column, Quantity::Channel, None, None, Reason::NameUnknown);
+        let free: Vec<Reading> = columns.filter(is_free).map(unknown).collect();
+        found.extend(free);
     }
-    group_words(&mut found);
+    keep_group_words(&mut found);
     found
 }
 
-/// Keeps the words that tell motors apart: those that stand beside several quantities, and not in all headers.
-fn group_words(readings: &mut [Reading]) {
-    let tells = |word: &String| {
-        let with: Vec<Quantity> = readings
-            .iter()
-            .filter(|reading| reading.words.contains(word))
-            .map(|reading| reading.quantity)
-            .collect();
-        let several = with.iter().any(|quantity| *quantity != with[0]);
-        several && with.len() < readings.iter().filter(|r| !r.words.is_empty()).count()
-    };
-    let telling: Vec<Vec<String>> = readings
-        .iter()
-        .map(|reading| reading.words.iter().filter(|word| tells(word)).cloned().collect())
-        .collect();
-    for (reading, words) in readings.iter_mut().zip(telling) {
-        reading.words = words;
+/// Keeps the words that distinguish motors: those of headers of several quantities, and not of all headers.
+fn keep_group_words(readings: &mut [Reading]) {
+    let named = readings.iter().filter(|reading| !reading.words.is_empty()).count();
+    let mut quantities: BTreeMap<String, Vec<Quantity>> = BTreeMap::new();
+    for reading in readings.iter() {
+        for word in &reading.words {
+            quantities.entry(word.clone()).or_default().push(reading.quantity);
+        }
+    }
+    quantities.retain(|_, of| of.len() < named && of.iter().any(|quantity| *quantity != of[0]));
+    for reading in readings {
+        reading.words.retain(|word| quantities.contains_key(word));
     }
 }
 
-/// The candidates that belong together, with signs and units.
-fn settled(table: &Table<'_>, sources: &mut Sources) -> Chosen {
-    table.give_directions(sources);
-    let mut chosen = choose(&table.time_s, sources, &table.preview.headers);
-    settle_torque(&table.time_s, &mut chosen);
-    sources.angle.sort_by_key(|source| source.rank);
-    settle_units(&table.time_s, &mut chosen, sources.angle.first_mut());
-    chosen
-}
-
-fn finish(proposal: &mut Proposal, table: &Table<'_>, mut sources: Sources, mut chosen: Chosen) {
+fn finish(
+    proposal: &mut Proposal,
+    table: &Table<'_>,
+    sources: Sources,
+    (mut chosen, angle): (Chosen, Option<Source>),
+) {
     let headers = &table.preview.headers;
-    let has_speed = chosen.get(&[Channel::Speed]).is_some();
-    let angle = (!sources.angle.is_empty()).then(|| sources.angle.remove(0));
-    if let Some(angle) = angle {
-        if has_speed {
-            let text = format!("angle_rad={}", angle.text(headers));
-            proposal.unused.push(format!("{text}: the speed is there, and serves alone"));
-        } else {
-            chosen.sources.push(angle);
+    let text = |source: &Source| format!("{}={}", source.key(), source.text(headers));
+    match angle {
+        Some(angle) if chosen.has(&[Channel::Speed]) => {
+            proposal.unused.push(Unused::Angle { source: text(&angle) });
         }
+        angle => chosen.sources.extend(angle),
     }
-    // A torque that a drive calculates from its current says nothing beside it.
-    let has_current = chosen.get(&[Channel::Current]).is_some();
-    chosen.sources.retain(|source| {
-        let keeps = source.target != Channel::Torque || source.rank == 0 || !has_current;
-        if !keeps {
-            let text = format!("torque_n_m={}", source.text(headers));
-            proposal.unused.push(format!("{text}: {}", source.reasons.join("; ")));
-        }
-        keeps
-    });
-    let has = |channels: &[Channel]| chosen.get(channels).is_some();
-    if !has(&[Channel::Speed, Channel::Angle]) {
-        proposal.missing.push("a speed or an angle of the shaft".to_owned());
-    }
-    let inputs = [Channel::Voltage, Channel::VoltageCmd, Channel::Current, Channel::Torque];
-    if !has(&inputs) {
-        proposal.missing.push("a voltage at the motor, its current, or a torque".to_owned());
-    }
-    proposal.unused.extend(sources.unused.drain(..).map(|(_, why)| why));
     let used: Vec<usize> =
-        chosen.sources.iter().flat_map(|source| source.columns.clone()).collect();
-    let lists = [&sources.voltage, &sources.current, &sources.speed, &sources.torque];
-    let others = lists.into_iter().flatten().filter(|source| !used.contains(&source.columns[0]));
-    proposal.unused.extend(others.map(|source| {
-        format!("{}={}: another column was taken", source.target.key(), source.text(headers))
+        chosen.sources.iter().flat_map(|source| source.columns.iter().copied()).collect();
+    // A torque that a drive calculates from its current adds nothing to that current.
+    if chosen.has(&[Channel::Current]) {
+        let calculated = |source: &mut Source| source.is_of(&[Channel::Torque]) && source.rank > 0;
+        proposal.unused.extend(
+            chosen
+                .sources
+                .extract_if(.., calculated)
+                .map(|source| Unused::Torque { source: text(&source), reasons: source.reasons }),
+        );
+    }
+    if !chosen.has(&[Channel::Speed, Channel::Angle]) {
+        proposal.missing.push(Missing::Speed);
+    }
+    if !chosen.has(&[Channel::Voltage, Channel::VoltageCmd, Channel::Current, Channel::Torque]) {
+        proposal.missing.push(Missing::Input);
+    }
+    // A supply voltage serves as a factor of a duty.
+    let is_used = |of: &str| used.iter().any(|column| headers[*column] == of);
+    proposal.unused.extend(sources.unused.into_iter().filter(|unused| match unused {
+        Unused::SupplyVoltage { header, .. } | Unused::OfSupply { header, .. } => !is_used(header),
+        _ => true,
     }));
+    let is_other =
+        |source: &&Source| !source.is_of(&[Channel::Angle]) && !used.contains(&source.columns[0]);
+    let others = sources.all.iter().filter(is_other);
+    proposal.unused.extend(others.map(|source| Unused::Other { source: text(source) }));
+    proposal.unused.dedup();
     proposal.items.extend(chosen.sources.iter().map(|source| item(source, headers)));
     for source in &chosen.sources {
         for column in &source.columns {
-            let header = &headers[*column];
-            let count = headers.iter().filter(|other| *other == header).count();
+            let header = headers[*column].clone();
+            let count = headers.iter().filter(|other| **other == header).count();
             if count > 1 {
-                let target = source.target.key();
-                proposal.missing.push(format!(
-                    "a header of its own for {target}: {count} columns are called {header:?}; rename them in the file"
-                ));
+                proposal.missing.push(Missing::OwnHeader { target: source.key(), header, count });
             }
         }
     }
     proposal.missing.dedup();
     if proposal.missing.is_empty() {
-        let parts: Vec<String> =
-            proposal.items.iter().map(|item| format!("{}={}", item.target, item.source)).collect();
+        let parts: Vec<String> = chosen.sources.iter().map(text).collect();
         proposal.map = Some(parts.join(","));
-        proposal.doubts = doubts_of_record(table, &chosen, &proposal.items);
+        proposal.doubts = doubts_of_record(table, &chosen, proposal.holes().count() > 0);
     }
 }
 
-fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, items: &[Item]) -> Vec<Fault> {
-    let has_hole = items.iter().any(|item| item.hole.is_some());
+fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, has_hole: bool) -> Vec<Fault> {
     let Ok(mut run) = Run::new("preview", table.time_s.clone()) else { return Vec::new() };
     for source in &chosen.sources {
-        if run.set_column(source.target, source.values.clone(), Origin::Unknown).is_err() {
+        let Some(target) = source.target else { continue };
+        if run.set_column(target, source.values.clone(), Origin::Unknown).is_err() {
             return Vec::new();
         }
     }
@@ -308,45 +288,16 @@ fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, items: &[Item]) -> Vec<F
     of_map.map(|finding| finding.fault).collect()
 }
 
-fn time_item(time: &TimeColumn, table: &Table<'_>) -> Item {
-    let header = &table.preview.headers[time.column];
-    let (factor, hole) = table.resolved(&time.factor);
-    let mut source = quoted(header);
-    if let Some(date) = time.date {
-        source = format!("{}+{source}", quoted(&table.preview.headers[date]));
-    }
-    let doubted = sanity::of_header("time_s", header, false).is_some();
-    if (factor - 1.0).abs() > 1e-12 || doubted && hole.is_none() {
-        let _ = write!(source, "*{}", decimal(factor));
-    }
-    if let Some(hole) = &hole {
-        let _ = write!(source, "*{{{hole}}}");
-    }
-    Item {
-        target: "time_s",
-        source,
-        confidence: time.confidence,
-        reasons: time.reasons.clone(),
-        doubts: time.doubts.clone(),
-        hole: hole.as_deref().and_then(Hole::of),
-    }
-}
-
 fn item(source: &Source, headers: &[String]) -> Item {
+    let number =
+        source.factor.number.and_then(|(name, _)| Known::get().numbers.get_key_value(name));
     Item {
-        target: source.target.key(),
+        target: source.key(),
         source: source.text(headers),
         confidence: source.confidence,
         reasons: source.reasons.clone(),
         doubts: source.doubts.clone(),
-        hole: source.hole.as_deref().and_then(Hole::of),
-    }
-}
-
-impl Hole {
-    fn of(expression: &str) -> Option<Self> {
-        let number = Known::get().number_in(expression)?;
-        Some(Self { name: number.name.clone(), how: number.how.clone() })
+        hole: number.map(|(name, how)| Hole { name, how }),
     }
 }
 

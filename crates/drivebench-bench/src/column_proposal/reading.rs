@@ -1,6 +1,7 @@
 //! What each column may hold, by its header, its unit, and the program that wrote the file.
 
-use super::header::{Parts, unit};
+use super::finding::Reason;
+use super::header::Parts;
 use super::known::{Factor, Known, Qualifier, Quantity, Tool, Unit, plain};
 use crate::recording::Preview;
 
@@ -21,83 +22,82 @@ pub(super) struct Reading {
     pub column: usize,
     pub quantity: Quantity,
     pub factor: Factor,
-    pub unit: String,
+    pub unit: Option<Unit>,
     pub unit_from: UnitFrom,
     /// Preference among columns of one quantity, the smallest first.
     pub rank: u8,
     /// A word or a program names the quantity; else its unit alone does.
     pub is_named: bool,
-    pub reason: String,
-    pub notes: Vec<String>,
+    pub reasons: Vec<Reason>,
     /// Words of the header that name no quantity: which motor it is of.
     pub words: Vec<String>,
 }
 
+const PERCENT_OF_RATED: Unit = Unit {
+    quantity: Quantity::Torque,
+    name: "% of the rated torque",
+    factor: Factor::of(0.01).times("RATED_TORQUE_N_M"),
+};
+
 /// All readings, in the order of the columns; a column without one has no header that is known.
-pub(super) fn readings(preview: &Preview, tool: Option<&Tool>) -> Vec<Reading> {
+pub(super) fn readings(preview: &Preview, tool: Option<&'static Tool>) -> Vec<Reading> {
     let columns = 0..preview.headers.len();
     columns.flat_map(|column| of_column(preview, column, tool)).collect()
 }
 
-fn of_column(preview: &Preview, column: usize, tool: Option<&Tool>) -> Vec<Reading> {
+fn of_column(preview: &Preview, column: usize, tool: Option<&'static Tool>) -> Vec<Reading> {
     let header = preview.headers[column].as_str();
     let parts = Parts::of(header);
-    let row_unit = preview.units.get(column).and_then(|text| unit(text));
+    let row_unit = preview.units.get(column).and_then(|text| Unit::of(text));
     let stated = row_unit.or(parts.unit);
     let known = Known::get();
-    if let Some(reading) = of_tool(column, header, stated.as_ref(), tool) {
+    if let Some(reading) = of_tool(column, header, stated, tool) {
         return vec![reading];
     }
     let text = parts.words.join("_");
-    if let Some(symbol) = known.symbol(&plain(header)).or_else(|| known.symbol(&text)) {
-        let possible = symbol.quantities.iter().copied();
-        let by_unit = stated.as_ref().map(|unit| unit.quantity);
-        let agrees = |quantity: &Quantity| by_unit.is_none_or(|by_unit| by_unit == *quantity);
-        let mut possible: Vec<Quantity> = possible.filter(agrees).collect();
-        if possible.is_empty() {
-            possible.extend(by_unit);
-        }
-        let usual = symbol.unit.as_deref().and_then(|name| known.unit(name));
-        return possible
-            .into_iter()
-            .zip(0..)
-            .map(|(quantity, rank)| {
-                let reason = format!("{header:?} is a usual symbol of {}", quantity.name());
-                let mut reading =
-                    Reading::new(column, quantity, stated.as_ref(), usual.as_ref(), reason);
-                reading.rank += 1 + rank;
-                if stated.is_none() && usual.is_some() {
-                    reading.unit_from = UnitFrom::Convention;
-                }
-                reading
-            })
-            .collect();
+    let Some(symbol) = known.symbol(&plain(header)).or_else(|| known.symbol(&text)) else {
+        return of_words(column, header, &parts.words, stated).into_iter().collect();
+    };
+    let by_unit = stated.map(|unit| unit.quantity);
+    let agrees = |quantity: &Quantity| by_unit.is_none_or(|by_unit| by_unit == *quantity);
+    let mut possible: Vec<Quantity> = symbol.quantities.iter().copied().filter(agrees).collect();
+    if possible.is_empty() {
+        possible.extend(by_unit);
     }
-    of_words(column, header, &parts.words, stated.as_ref()).into_iter().collect()
+    let usual = symbol.unit.as_deref().and_then(Unit::of);
+    let reading = |(quantity, rank): (Quantity, u8)| {
+        let reason = Reason::Symbol { header: header.to_owned(), quantity };
+        let mut reading = Reading::new(column, quantity, stated, usual, reason);
+        reading.rank = 1 + rank;
+        if stated.is_none() && usual.is_some() {
+            reading.unit_from = UnitFrom::Convention;
+        }
+        reading
+    };
+    possible.into_iter().zip(0..).map(reading).collect()
 }
 
 fn of_tool(
     column: usize,
     header: &str,
-    stated: Option<&Unit>,
-    tool: Option<&Tool>,
+    stated: Option<Unit>,
+    tool: Option<&'static Tool>,
 ) -> Option<Reading> {
-    let known = Known::get();
     let (tool, found) = tool.and_then(|tool| Some((tool, tool.column(header)?)))?;
-    let named = |name: &Option<String>| name.as_deref().and_then(|name| known.unit(name));
-    let unit = stated.cloned().or_else(|| named(&found.unit));
-    let likely = named(&found.likely_unit);
-    let reason = format!("{header:?} is {} in a log of {}", found.quantity.name(), tool.name);
-    let mut reading = Reading::new(column, found.quantity, unit.as_ref(), likely.as_ref(), reason);
-    if let Some(factor) = found.factor.as_ref().and_then(|factor| factor.parse().ok()) {
-        reading.factor = Factor::Known(factor);
+    let named = |name: &Option<String>| name.as_deref().and_then(Unit::of);
+    let (unit, likely) = (stated.or_else(|| named(&found.unit)), named(&found.likely_unit));
+    let (header, quantity) = (header.to_owned(), found.quantity);
+    let reason = Reason::OfProgram { header, quantity, tool: &tool.name };
+    let mut reading = Reading::new(column, quantity, unit, likely, reason);
+    if let Some(factor) = found.factor {
+        reading.factor = Factor::of(factor);
     }
     // A duty is a share already.
-    if found.quantity == Quantity::Duty {
+    if quantity == Quantity::Duty {
         reading.unit_from = UnitFrom::Stated;
     }
     reading.rank = found.rank;
-    reading.notes.extend(found.note.clone());
+    reading.reasons.extend(found.note.as_deref().map(Reason::Note));
     Some(reading)
 }
 
@@ -106,56 +106,43 @@ fn of_words(
     column: usize,
     header: &str,
     words: &[String],
-    stated: Option<&Unit>,
+    stated: Option<Unit>,
 ) -> Option<Reading> {
     let known = Known::get();
     let is_weak = |quantity: &Quantity| matches!(quantity, Quantity::Command | Quantity::Index);
     let named: Vec<Quantity> = words.iter().filter_map(|word| known.word(word)).collect();
     let strong = named.iter().rev().find(|quantity| !is_weak(quantity));
-    let is_supply_word = |word: &String| known.qualifier(word) == Some(Qualifier::OfTheSupply);
     let by_unit = stated.map(|unit| unit.quantity);
-    // `vbus` and `vin` are voltages without saying so.
-    let of_supply = words.iter().any(is_supply_word).then_some(Quantity::Voltage);
+    let has = |kind| words.iter().any(|word| known.qualifier(word) == Some(kind));
+    // `vbus` and `vin` are voltages without that word.
+    let of_supply = has(Qualifier::OfTheSupply).then_some(Quantity::Voltage);
     let word = strong.or_else(|| named.last().filter(|_| by_unit.is_none())).copied();
     let quantity = word.or(by_unit).or(of_supply.filter(|_| words.len() == 1))?;
-    let has = |kind| words.iter().any(|word| known.qualifier(word) == Some(kind));
-    let (quantity, unit, notes, rank) = match (quantity, by_unit) {
-        (Quantity::Other, _) | (_, Some(Quantity::Other)) => (Quantity::Other, None, vec![], 0),
-        (Quantity::Torque, Some(Quantity::Duty)) => {
-            // Per cent as well as per mille.
-            return Some(Reading::of_rated_torque(column, header));
-        }
+    let (quantity, unit, note, rank) = match (quantity, by_unit) {
+        (Quantity::Other, _) | (_, Some(Quantity::Other)) => (Quantity::Other, None, None, 0),
+        // Per cent as well as per mille.
+        (Quantity::Torque, Some(Quantity::Duty)) => (quantity, Some(PERCENT_OF_RATED), None, 0),
         // The signal of a sensor, not yet converted.
         (Quantity::Current | Quantity::Speed, Some(Quantity::Voltage)) => {
-            let note = "the column is a voltage of its sensor".to_owned();
-            return Some(Reading::of_sensor(column, quantity, header, note));
+            let reason = Reason::Named { header: header.to_owned(), quantity };
+            return Some(Reading::new(column, quantity, stated, None, reason).of_sensor(quantity));
         }
         (_, Some(by_unit)) if by_unit != quantity && !is_same_unit(quantity, by_unit) => {
-            let note = format!("its unit is that of {}, whatever its name", by_unit.name());
-            (by_unit, stated, vec![note], 1)
+            (by_unit, stated, Some(Reason::UnitOf(by_unit)), 1)
         }
-        _ => (quantity, stated, vec![], 0),
+        _ => (quantity, stated, None, 0),
     };
     let quantity = qualified(quantity, &has);
-    let mut reading = Reading::new(
-        column,
-        quantity,
-        unit,
-        None,
-        format!("the header {header:?} names {}", quantity.name()),
-    );
+    let reason = Reason::Named { header: header.to_owned(), quantity };
+    let mut reading = Reading::new(column, quantity, unit, None, reason);
     reading.is_named = word.is_some();
     // `erpm` is a unit too.
     if word == Some(Quantity::ElectricalSpeed) {
         reading.unit_from = UnitFrom::Stated;
     }
     reading.rank = rank + u8::from(!reading.is_named) + u8::from(has(Qualifier::Commanded));
-    reading.notes.extend(notes);
-    if has(Qualifier::Rms) {
-        reading.notes.push(
-            "an effective value: the amplitude of a sine is 1.414214 times as large".to_owned(),
-        );
-    }
+    reading.reasons.extend(note);
+    reading.reasons.extend(has(Qualifier::Rms).then_some(Reason::Effective));
     let is_group = |word: &&String| known.word(word).is_none() && known.qualifier(word).is_none();
     reading.words = words.iter().filter(is_group).cloned().collect();
     Some(reading)
@@ -192,100 +179,46 @@ fn qualified(quantity: Quantity, has: &impl Fn(Qualifier) -> bool) -> Quantity {
 
 impl Reading {
     /// `stated` is the unit that the file or its program names, `usual` what else is likely.
-    fn new(
+    pub(super) fn new(
         column: usize,
         quantity: Quantity,
-        stated: Option<&Unit>,
-        usual: Option<&Unit>,
-        reason: String,
+        stated: Option<Unit>,
+        usual: Option<Unit>,
+        reason: Reason,
     ) -> Self {
-        let si = quantity.si_unit().and_then(|name| Known::get().unit(name));
+        use Quantity::{Angle, Channel, ElectricalSpeed, Speed};
         let unit_from = match (stated, quantity) {
             (Some(_), _) => UnitFrom::Stated,
-            (None, Quantity::Speed | Quantity::ElectricalSpeed | Quantity::Angle) => UnitFrom::Open,
+            (None, Speed | ElectricalSpeed | Angle | Channel) => UnitFrom::Open,
             (None, _) => UnitFrom::Convention,
         };
-        let unit = stated.or(usual).or(si.as_ref());
+        let unit = stated.or(usual).or_else(|| quantity.usual_unit().and_then(Unit::of));
         Self {
             column,
             quantity,
-            factor: unit.map_or(Factor::Known(1.0), |unit| unit.factor.clone()),
-            unit: unit.map_or_else(String::new, |unit| unit.name.clone()),
+            factor: unit.map_or(Factor::ONE, |unit| unit.factor),
+            unit,
             unit_from,
             rank: 0,
             is_named: true,
-            reason,
-            notes: Vec::new(),
+            reasons: vec![reason],
             words: Vec::new(),
         }
     }
 
-    /// A column of which nothing is known.
-    pub(super) fn of_unknown(column: usize) -> Self {
-        let reason = "its name is unknown".to_owned();
-        Self {
-            unit_from: UnitFrom::Open,
-            ..Self::new(column, Quantity::Channel, None, None, reason)
-        }
-    }
-
-    /// A column whose cells are clocks.
-    pub(super) fn of_clock(column: usize, header: &str) -> Self {
-        let reason = format!("{header:?} holds clocks");
-        Self::new(column, Quantity::Time, None, None, reason)
-    }
-
-    /// A torque in per cent of that of the nameplate.
-    fn of_rated_torque(column: usize, header: &str) -> Self {
-        let reason = format!("the header {header:?} names the torque in per cent");
-        Self {
-            factor: Factor::Hole("0.01*RATED_TORQUE_N_M".to_owned()),
-            unit_from: UnitFrom::Stated,
-            ..Self::new(column, Quantity::Torque, None, None, reason)
-        }
-    }
-
-    /// A quantity whose column holds the voltage of its sensor.
-    pub(super) fn of_sensor(column: usize, quantity: Quantity, header: &str, note: String) -> Self {
-        let hole =
-            if quantity == Quantity::Current { "AMPERES_PER_VOLT" } else { "RAD_S_PER_VOLT" };
-        let reason = format!("the header {header:?} names {}", quantity.name());
-        Self {
-            factor: Factor::Hole(hole.to_owned()),
-            unit: "V".to_owned(),
-            unit_from: UnitFrom::Stated,
-            notes: vec![note],
-            rank: 1,
-            ..Self::new(column, quantity, None, None, reason)
-        }
+    /// The same column as the voltage of a sensor of a current or a speed.
+    pub(super) fn of_sensor(self, quantity: Quantity) -> Self {
+        let is_current = quantity == Quantity::Current;
+        let number = if is_current { "AMPERES_PER_VOLT" } else { "RAD_S_PER_VOLT" };
+        let mut reasons = self.reasons;
+        reasons.push(Reason::SensorVoltage);
+        Self { quantity, factor: Factor::ONE.times(number), unit: None, rank: 1, reasons, ..self }
     }
 }
 
 impl Quantity {
-    /// As a sentence names it.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Time => "the time",
-            Self::Index => "the number of the row",
-            Self::Voltage => "the voltage of the motor",
-            Self::VoltageCommand => "the voltage command",
-            Self::SupplyVoltage => "the supply voltage",
-            Self::Duty => "the duty of the bridge",
-            Self::Command => "a command",
-            Self::Current => "the current of the motor",
-            Self::SupplyCurrent => "the supply current",
-            Self::Speed => "the speed",
-            Self::ElectricalSpeed => "the electrical speed",
-            Self::SpeedReference => "the speed reference",
-            Self::Angle => "the angle",
-            Self::Torque => "the torque",
-            Self::Channel => "a channel",
-            Self::Other => "a quantity that identification does not need",
-        }
-    }
-
     /// The unit that is usual where none is stated.
-    const fn si_unit(self) -> Option<&'static str> {
+    const fn usual_unit(self) -> Option<&'static str> {
         match self {
             Self::Time => Some("s"),
             Self::Voltage | Self::VoltageCommand | Self::SupplyVoltage => Some("V"),

@@ -4,37 +4,38 @@ use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use super::Confidence;
-use super::known::{Factor, Known, Quantity};
+use super::finding::{Doubt, Reason, Unused};
+use super::known::{Factor, Quantity};
 use super::reading::{Reading, UnitFrom};
 use crate::recording::Preview;
 use drivebench_identify::sanity;
 use drivebench_model::numerics::statistics::{extent, finite, largest_but_outliers};
 use drivebench_model::sample::Channel;
-use drivebench_model::text::number::shortest;
+
+pub(super) const VOLTAGES: [Channel; 2] = [Channel::Voltage, Channel::VoltageCmd];
 
 /// What may stand behind the `=` of one quantity.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
-    pub target: Channel,
-    /// Factors of a product.
+    /// `None`: the time.
+    pub target: Option<Channel>,
+    /// Factors of a product; of the time, date and clock.
     pub columns: Vec<usize>,
     /// The column that has the sign which this one lacks.
     pub sign_of: Option<usize>,
-    pub factor: f64,
-    /// A factor with a number that the file does not contain.
-    pub hole: Option<String>,
+    pub factor: Factor,
     pub unit_from: UnitFrom,
     pub rank: u8,
     pub confidence: Confidence,
-    pub reasons: Vec<String>,
-    pub doubts: Vec<String>,
+    pub reasons: Vec<Reason>,
+    pub doubts: Vec<Doubt>,
     /// Words that tell one motor of the file from another.
     pub words: Vec<String>,
-    /// In SI, but for a hole.
+    /// In SI, but for a number that the file does not contain.
     pub values: Vec<f64>,
 }
 
-/// The rows that are looked at, and the numbers that the user knows.
+/// The rows that are looked at, and the numbers that the user gives.
 pub(super) struct Table<'a> {
     pub preview: &'a Preview,
     pub rows: Vec<usize>,
@@ -44,113 +45,105 @@ pub(super) struct Table<'a> {
 
 #[derive(Default)]
 pub(super) struct Sources {
-    pub voltage: Vec<Source>,
-    pub current: Vec<Source>,
-    pub speed: Vec<Source>,
-    pub angle: Vec<Source>,
-    pub torque: Vec<Source>,
+    pub all: Vec<Source>,
     /// Columns that have the direction of what the drive does, with the words of their headers.
-    pub directions: Vec<(usize, Vec<String>)>,
-    /// Columns that serve for nothing, and why.
-    pub unused: Vec<(usize, String)>,
+    directions: Vec<(usize, Vec<String>)>,
+    pub unused: Vec<Unused>,
+}
+
+impl Sources {
+    pub(super) fn of<'a>(&'a self, channels: &'a [Channel]) -> impl Iterator<Item = &'a Source> {
+        self.all.iter().filter(|source| source.is_of(channels))
+    }
+
+    /// That of the first rank.
+    pub(super) fn first(&self, channel: Channel) -> Option<Source> {
+        self.of(&[channel]).min_by_key(|source| source.rank).cloned()
+    }
 }
 
 impl Table<'_> {
     /// A column at the rows that are looked at; a missing cell has the value before it.
     pub(super) fn values(&self, column: usize) -> Vec<f64> {
-        let numbers = &self.preview.columns[column].numbers;
         let mut last = f64::NAN;
-        let mut held = Vec::with_capacity(numbers.len());
-        for number in numbers {
+        let hold = |number: &f64| {
             last = if number.is_nan() { last } else { *number };
-            held.push(last);
-        }
+            last
+        };
+        let held: Vec<f64> = self.preview.columns[column].numbers.iter().map(hold).collect();
         self.rows.iter().map(|row| held[*row]).collect()
     }
 
-    fn header(&self, column: usize) -> &str {
-        &self.preview.headers[column]
+    fn header(&self, column: usize) -> String {
+        self.preview.headers[column].clone()
     }
 
     fn source(&self, target: Channel, reading: &Reading) -> Source {
-        let (factor, hole) = self.resolved(&reading.factor);
-        let mut reasons = vec![reading.reason.clone()];
-        reasons.extend(reading.notes.iter().cloned());
-        if reading.unit_from == UnitFrom::Stated && !reading.unit.is_empty() {
-            reasons.push(format!("in {}", reading.unit));
-        }
+        let unit = reading.unit.filter(|_| reading.unit_from == UnitFrom::Stated);
+        let own = reading.reasons.iter().cloned();
         let confidence = match (reading.unit_from, reading.is_named) {
             (UnitFrom::Stated, true) => Confidence::Sure,
             (UnitFrom::Open, _) => Confidence::Unsure,
             _ => Confidence::Likely,
         };
-        let values = self.values(reading.column).iter().map(|value| value * factor).collect();
-        Source {
-            target,
-            columns: vec![reading.column],
-            sign_of: None,
-            factor,
-            hole,
+        let reasons = own.chain(unit.map(|unit| Reason::Unit(unit.name))).collect();
+        let source = Source {
+            target: Some(target),
+            factor: reading.factor,
             unit_from: reading.unit_from,
             rank: reading.rank,
             confidence,
-            reasons,
-            doubts: Vec::new(),
             words: reading.words.clone(),
-            values,
-        }
+            ..Source::new(reading.column, reasons)
+        };
+        self.valued(source)
     }
 
-    /// The factor, and the hole in it where its number is not given.
-    pub(super) fn resolved(&self, factor: &Factor) -> (f64, Option<String>) {
-        match factor {
-            Factor::Known(factor) => (*factor, None),
-            Factor::Hole(hole) => {
-                filled(hole, self.given).map_or((1.0, Some(hole.clone())), |value| (value, None))
-            }
+    /// Fills in a number that is given, and the values.
+    fn valued(&self, source: Source) -> Source {
+        let factor = source.factor.filled(self.given);
+        let mut values = vec![factor.value; self.rows.len()];
+        for column in &source.columns {
+            values.iter_mut().zip(self.values(*column)).for_each(|(value, cell)| *value *= cell);
         }
+        Source { factor, values, ..source }
     }
 
     pub(super) fn sources(&self, readings: &[Reading]) -> Sources {
-        let mut sources = Sources::default();
+        let mut found = Sources::default();
         let of = |quantity| readings.iter().filter(move |reading| reading.quantity == quantity);
         let duty = of(Quantity::Duty).min_by_key(|reading| reading.rank);
         let mut supplies: Vec<&Reading> = of(Quantity::SupplyVoltage).collect();
         for reading in of(Quantity::Voltage) {
-            if sanity::is_of_a_supply(&self.values(reading.column)) {
+            let values = self.values(reading.column);
+            if sanity::is_of_a_supply(&values) {
                 supplies.push(reading);
-                sources.unused.push((reading.column, self.sags(reading.column)));
+                let header = self.header(reading.column);
+                let volts = extent(finite(&values)).into();
+                found.unused.push(Unused::SupplyVoltage { header, volts });
             } else {
-                sources.voltage.push(self.source(Channel::Voltage, reading));
+                found.all.push(self.source(Channel::Voltage, reading));
             }
-        }
-        for reading in of(Quantity::VoltageCommand) {
-            sources.voltage.push(self.source(Channel::VoltageCmd, reading));
         }
         // A voltage at the input of the motor, and not that of a supply, has the name of one.
         for reading in of(Quantity::SupplyVoltage).filter(|_| duty.is_none()) {
             let values = finite(&self.values(reading.column));
             let (least, most) = extent(&values);
             if least < 0.5 * most && !sanity::is_of_a_supply(&values) {
-                let mut source = self.source(Channel::Voltage, reading);
-                source.rank += 1;
-                source.confidence = Confidence::Unsure;
-                source.doubts.push(
-                    "its name is that of a supply, but it changes like that of a motor".into(),
-                );
-                sources.voltage.push(source);
+                let source = self.source(Channel::Voltage, reading);
+                let rank = source.rank + 1;
+                let doubts = vec![Doubt::NotOfSupply];
+                let confidence = Confidence::Unsure;
+                found.all.push(Source { rank, confidence, doubts, ..source });
             }
         }
         supplies.sort_by_key(|reading| reading.rank);
-        sources.voltage.extend(duty.map(|duty| self.duty(duty, supplies.first().copied())));
+        found.all.extend(duty.map(|duty| self.duty(duty, supplies.first().copied())));
         for reading in of(Quantity::Command) {
-            let mut source = self.source(Channel::VoltageCmd, reading);
-            (source.factor, source.hole) = self.resolved(&Factor::Hole("VOLTS_PER_COUNT".into()));
-            source
-                .doubts
-                .push("a command of no quantity: only the drive's program has its unit".into());
-            source.rank += 2;
-            sources.voltage.push(source);
+            let source = self.source(Channel::VoltageCmd, reading);
+            let (rank, factor) = (source.rank + 2, Factor::ONE.times("VOLTS_PER_COUNT"));
+            let doubts = vec![Doubt::Command];
+            found.all.push(self.valued(Source { factor, rank, doubts, ..source }));
         }
         let commands = [
             Quantity::VoltageCommand,
@@ -160,206 +153,130 @@ impl Table<'_> {
             Quantity::Voltage,
         ];
         let directions = commands.into_iter().flat_map(of);
-        sources.directions = directions.map(|it| (it.column, it.words.clone())).collect();
-        let plain = |quantity, channel| {
-            of(quantity).map(move |reading| self.source(channel, reading)).collect::<Vec<_>>()
-        };
-        sources.current = plain(Quantity::Current, Channel::Current);
-        sources.torque = plain(Quantity::Torque, Channel::Torque);
-        sources.angle = plain(Quantity::Angle, Channel::Angle);
-        sources.speed = plain(Quantity::Speed, Channel::Speed);
+        found.directions = directions.map(|it| (it.column, it.words.clone())).collect();
+        for (quantity, channel) in [
+            (Quantity::VoltageCommand, Channel::VoltageCmd),
+            (Quantity::Current, Channel::Current),
+            (Quantity::Torque, Channel::Torque),
+            (Quantity::Angle, Channel::Angle),
+            (Quantity::Speed, Channel::Speed),
+        ] {
+            found.all.extend(of(quantity).map(|reading| self.source(channel, reading)));
+        }
         for reading in of(Quantity::ElectricalSpeed) {
-            sources.speed.push(self.electrical_speed(reading));
+            // The speed of the shaft is that of the field over the pole pairs.
+            let mut source = self.source(Channel::Speed, reading);
+            source.factor = Factor::of(reading.factor.value).over("POLE_PAIRS");
+            source.reasons.push(Reason::Electrical);
+            found.all.push(self.valued(Source { confidence: Confidence::Sure, ..source }));
         }
-        self.channels(readings, &mut sources);
-        for list in
-            [&mut sources.current, &mut sources.speed, &mut sources.angle, &mut sources.torque]
-        {
-            self.leave_out_constants(list, &mut sources.unused);
+        for reading in of(Quantity::Channel) {
+            self.channel(reading, &mut found.all);
         }
-        self.list_unused(readings, &mut sources);
-        sources
+        self.leave_out_constants(&mut found);
+        let is_of_supply = |reading: &&Reading| {
+            matches!(reading.quantity, Quantity::SupplyCurrent | Quantity::SupplyVoltage)
+        };
+        let of_supply = |reading: &Reading| Unused::OfSupply {
+            header: self.header(reading.column),
+            quantity: reading.quantity,
+            reasons: reading.reasons[1..].to_vec(),
+        };
+        found.unused.extend(readings.iter().filter(is_of_supply).map(of_supply));
+        found
     }
 
     /// A column that never changes gives way to another.
-    fn leave_out_constants(&self, list: &mut Vec<Source>, unused: &mut Vec<(usize, String)>) {
+    fn leave_out_constants(&self, found: &mut Sources) {
         let changes = |source: &Source| {
             let (least, most) = extent(finite(&source.values));
-            least < most
+            least < most || source.is_of(&VOLTAGES)
         };
-        if list.iter().any(changes) {
-            list.retain(|source| {
-                let keeps = changes(source);
-                if !keeps {
-                    let column = source.columns[0];
-                    unused.push((column, format!("{:?} never changes", self.header(column))));
-                }
-                keeps
-            });
+        let (mut kept, constant): (Vec<_>, Vec<_>) = found.all.drain(..).partition(changes);
+        for source in constant {
+            if kept.iter().any(|other| other.target == source.target) {
+                found.unused.push(Unused::Constant { header: self.header(source.columns[0]) });
+            } else {
+                kept.push(source);
+            }
         }
-    }
-
-    fn sags(&self, column: usize) -> String {
-        let (least, most) = extent(finite(&self.values(column)));
-        format!(
-            "{:?} stays between {} and {} V whatever the motor does: it is the voltage of the supply, not of the motor",
-            self.header(column),
-            shortest(least, 4),
-            shortest(most, 4)
-        )
+        found.all = kept;
     }
 
     /// The voltage that a bridge applies: a share of its supply.
     fn duty(&self, duty: &Reading, supply: Option<&Reading>) -> Source {
         let mut source = self.source(Channel::Voltage, duty);
         let most = largest_but_outliers(&source.values);
-        source.reasons.push(format!("it reaches {}", shortest(most, 3)));
-        let mut hole = None;
-        if duty.unit_from != UnitFrom::Stated {
-            if most > 105.0 {
-                hole = Some("1/FULL_SCALE");
-            } else if most > 1.05 {
-                source.factor = 0.01;
-                source.doubts.push("taken as per cent".into());
-                source.confidence = source.confidence.max(Confidence::Unsure);
-            }
+        source.reasons.push(Reason::Reaches(most));
+        let is_open = duty.unit_from != UnitFrom::Stated;
+        let in_counts = is_open && most > 105.0;
+        if is_open && most > 1.05 && !in_counts {
+            source.factor.value *= 0.01;
+            source.doubts.push(Doubt::Percent);
+            source.confidence = Confidence::Unsure;
         }
-        let of_supply = match (supply, hole) {
-            (Some(supply), _) => {
-                source.columns.push(supply.column);
-                source.reasons.push(format!(
-                    "a bridge applies this share of its supply, {:?}",
-                    self.header(supply.column)
-                ));
-                if let Factor::Known(factor) = supply.factor {
-                    source.factor *= factor;
-                }
-                self.values(supply.column)
-            }
-            (None, hole_of_scale) => {
-                hole = Some(hole_of_scale.map_or("SUPPLY_V", |_| "VOLTS_PER_COUNT"));
-                vec![1.0; self.rows.len()]
-            }
+        if let Some(supply) = supply {
+            source.columns.push(supply.column);
+            source.factor.value *= supply.factor.value;
+            source.reasons.push(Reason::ShareOf { supply: self.header(supply.column) });
+        }
+        source.factor = match (supply, in_counts) {
+            (Some(_), false) => source.factor,
+            (Some(_), true) => source.factor.over("FULL_SCALE"),
+            (None, true) => source.factor.times("VOLTS_PER_COUNT"),
+            (None, false) => source.factor.times("SUPPLY_V"),
         };
-        let known = hole.map(|hole| self.resolved(&Factor::Hole(hole.to_owned())));
-        if let Some((factor, hole)) = known {
-            source.factor *= factor;
-            source.hole = hole;
-        }
-        let raw = self.values(duty.column);
-        source.values =
-            raw.iter().zip(of_supply).map(|(duty, supply)| duty * supply * source.factor).collect();
         source.rank += 1;
-        source
+        self.valued(source)
     }
 
-    /// The speed of the shaft is that of the field over the pole pairs.
-    fn electrical_speed(&self, reading: &Reading) -> Source {
-        let factor = match &reading.factor {
-            Factor::Known(factor) => *factor,
-            Factor::Hole(_) => 1.0,
-        };
-        let with_pairs = Factor::Hole(format!("{}/POLE_PAIRS", decimal(factor)));
-        let mut source = self.source(Channel::Speed, reading);
-        let raw = self.values(reading.column);
-        (source.factor, source.hole) = self.resolved(&with_pairs);
-        let scale = if source.hole.is_some() { factor } else { source.factor };
-        source.values = raw.iter().map(|value| value * scale).collect();
-        source.reasons.push("the shaft turns slower by the pole pairs".into());
-        source.confidence = Confidence::Sure;
-        source
-    }
-
-    /// Channels of an oscilloscope, and all columns where none has a name: each may be any quantity that its unit allows.
-    fn channels(&self, readings: &[Reading], sources: &mut Sources) {
-        let channels = readings.iter().filter(|reading| reading.quantity == Quantity::Channel);
-        for reading in channels.cloned() {
-            let by_unit = Known::get().unit(&reading.unit).map(|unit| unit.quantity);
-            let header = self.header(reading.column).to_owned();
-            let mut add = |target: Channel, quantity: Quantity| {
-                let is_own_unit = by_unit == Some(quantity);
-                let mut own = reading.clone();
-                if by_unit == Some(Quantity::Voltage) && !is_own_unit {
-                    let note = "a channel in V".to_owned();
-                    own = Reading::of_sensor(reading.column, quantity, &header, note);
-                }
-                own.reason = format!("{header:?} is a channel");
-                let mut source = self.source(target, &own);
-                if by_unit.is_none() && target != Channel::Voltage {
-                    source.doubts.push("no unit is written: taken as SI".into());
-                }
-                source.confidence = Confidence::Unsure;
-                match target {
-                    Channel::Voltage => sources.voltage.push(source),
-                    Channel::Current => sources.current.push(source),
-                    _ => sources.speed.push(source),
-                }
-            };
-            match by_unit {
-                Some(Quantity::Current) => add(Channel::Current, Quantity::Current),
-                Some(Quantity::Speed) => add(Channel::Speed, Quantity::Speed),
-                _ => {
-                    add(Channel::Voltage, Quantity::Voltage);
-                    add(Channel::Current, Quantity::Current);
-                    add(Channel::Speed, Quantity::Speed);
-                }
+    /// A channel of an oscilloscope, or any column where none has a name: it may be any quantity that its unit allows.
+    fn channel(&self, reading: &Reading, all: &mut Vec<Source>) {
+        let by_unit = reading.unit.map(|unit| unit.quantity);
+        let targets = [
+            (Channel::Voltage, Quantity::Voltage),
+            (Channel::Current, Quantity::Current),
+            (Channel::Speed, Quantity::Speed),
+        ];
+        let is_open = !matches!(by_unit, Some(Quantity::Current | Quantity::Speed));
+        for (target, quantity) in targets {
+            let is_own = by_unit == Some(quantity);
+            if !is_own && !is_open {
+                continue;
             }
+            let is_sensor = by_unit == Some(Quantity::Voltage) && !is_own;
+            let own = reading.clone();
+            let own = if is_sensor { own.of_sensor(quantity) } else { own };
+            let mut source = self.source(target, &own);
+            if by_unit.is_none() && target == Channel::Current {
+                source.doubts.push(Doubt::TakenAsSi);
+            }
+            let confidence = if is_open { Confidence::Unsure } else { Confidence::Likely };
+            all.push(Source { confidence, ..source });
         }
     }
 
     /// Gives speeds and currents without a sign that of a command of the same motor.
     pub(super) fn give_directions(&self, sources: &mut Sources) {
-        let both: Vec<(usize, &[String], Vec<f64>)> = sources
-            .directions
-            .iter()
-            .map(|(column, words)| (*column, words.as_slice(), self.values(*column)))
+        let directions = std::mem::take(&mut sources.directions).into_iter();
+        let both: Vec<(usize, Vec<String>, Vec<f64>)> = directions
+            .map(|(column, words)| (column, words, self.values(column)))
             .filter(|(.., values)| turns(values))
             .collect();
-        let give = |source: &mut Source| {
-            let same = both.iter().find(|(_, words, _)| *words == source.words);
-            let Some((column, _, direction)) = same.or_else(|| both.first()) else { return };
-            let is_free = !source.columns.contains(column);
-            if is_free && is_unsigned(&source.values) {
-                source.take_sign(*column, direction, self.header(*column));
-            }
-        };
-        sources.speed.iter_mut().for_each(give);
         // Where the shaft turns one way only, a current of one sign is right.
-        if sources.speed.iter().any(|speed| turns(&speed.values)) {
-            sources.current.iter_mut().for_each(give);
-        }
-    }
-
-    fn list_unused(&self, readings: &[Reading], sources: &mut Sources) {
-        for reading in readings {
-            let why = match reading.quantity {
-                Quantity::SupplyCurrent => {
-                    "it is the current of the supply, not of the motor: the bridge chops between them"
+        for channel in [Channel::Speed, Channel::Current] {
+            let turns = sources.of(&[Channel::Speed]).any(|speed| turns(&speed.values));
+            if channel == Channel::Current && !turns {
+                return;
+            }
+            for source in sources.all.iter_mut().filter(|source| source.is_of(&[channel])) {
+                let same = both.iter().find(|(_, words, _)| *words == source.words);
+                let Some((column, _, direction)) = same.or_else(|| both.first()) else { return };
+                if !source.columns.contains(column) && is_unsigned(&source.values) {
+                    source.take_sign(*column, direction, self.header(*column));
                 }
-                Quantity::SupplyVoltage => "it is the voltage of the supply, not of the motor",
-                _ => continue,
-            };
-            let header = format!("{:?}: {why}", self.header(reading.column));
-            let notes = reading.notes.iter().cloned();
-            let sentence: Vec<String> = [header].into_iter().chain(notes).collect();
-            sources.unused.push((reading.column, sentence.join("; ")));
+            }
         }
-    }
-}
-
-/// The value of an expression whose number is given.
-pub(super) fn filled(hole: &str, given: &BTreeMap<String, f64>) -> Option<f64> {
-    let number = Known::get().number_in(hole)?;
-    let value = given.get(&number.name)?;
-    let (head, tail) = hole.split_once(number.name.as_str())?;
-    if !tail.is_empty() {
-        return None;
-    }
-    match head.split_at(head.len().saturating_sub(1)) {
-        ("", "") => Some(*value),
-        (factor, "/") => Some(factor.parse::<f64>().ok()? / value),
-        (factor, "*") => Some(factor.parse::<f64>().ok()? * value),
-        _ => None,
     }
 }
 
@@ -377,8 +294,37 @@ fn is_unsigned(values: &[f64]) -> bool {
 }
 
 impl Source {
+    /// The time, in s.
+    pub(super) fn new(column: usize, reasons: Vec<Reason>) -> Self {
+        Self {
+            target: None,
+            columns: vec![column],
+            sign_of: None,
+            factor: Factor::ONE,
+            unit_from: UnitFrom::Stated,
+            rank: 0,
+            confidence: Confidence::Sure,
+            reasons,
+            doubts: Vec::new(),
+            words: Vec::new(),
+            values: Vec::new(),
+        }
+    }
+
+    pub(super) fn is_of(&self, channels: &[Channel]) -> bool {
+        self.target.is_some_and(|target| channels.contains(&target))
+    }
+
+    pub(super) fn key(&self) -> &'static str {
+        self.target.map_or("time_s", Channel::key)
+    }
+
+    pub(super) fn at_least(&mut self, confidence: Confidence) {
+        self.confidence = self.confidence.max(confidence);
+    }
+
     /// The sign is the last of the command that was not zero.
-    fn take_sign(&mut self, column: usize, direction: &[f64], header: &str) {
+    fn take_sign(&mut self, column: usize, direction: &[f64], command: String) {
         let mut sign = 1.0;
         for (value, direction) in self.values.iter_mut().zip(direction) {
             if direction.abs() > 0.0 {
@@ -387,27 +333,22 @@ impl Source {
             *value *= sign;
         }
         self.sign_of = Some(column);
-        self.confidence = self.confidence.max(Confidence::Likely);
-        self.reasons.push(format!(
-            "it is never negative while {header:?} has both directions: it takes that sign"
-        ));
-        self.doubts.push("its sign is wrong while the drive brakes".to_owned());
+        self.at_least(Confidence::Likely);
+        self.reasons.push(Reason::TakesSign { command });
+        self.doubts.push(Doubt::Braking);
     }
 
     /// As it stands in a map.
     pub(super) fn text(&self, headers: &[String]) -> String {
         let names: Vec<String> =
             self.columns.iter().map(|column| quoted(&headers[*column])).collect();
-        let mut text = names.join("*");
-        let plain = self.columns.len() == 1 && self.sign_of.is_none() && self.hole.is_none();
+        let mut text = names.join(if self.target.is_none() { "+" } else { "*" });
+        let is_plain = self.columns.len() == 1 && self.sign_of.is_none();
         let header = &headers[self.columns[0]];
-        let doubted = plain && sanity::of_header(self.target.key(), header, false).is_some();
-        let is_one = (self.factor - 1.0).abs() < 1e-12;
-        if !is_one || doubted {
-            let _ = write!(text, "*{}", decimal(self.factor));
-        }
-        if let Some(hole) = &self.hole {
-            let _ = write!(text, "*{{{hole}}}");
+        // Without a factor the reader of the file would ask for one.
+        let needs_one = is_plain && sanity::of_header(self.key(), header, false).is_some();
+        if needs_one || !self.factor.is_one() {
+            let _ = write!(text, "*{}", self.factor.text());
         }
         if let Some(column) = self.sign_of {
             let _ = write!(text, "*sign({})", quoted(&headers[column]));
@@ -415,28 +356,16 @@ impl Source {
         text
     }
 
-    pub(super) fn reverse(&mut self) {
-        self.factor = -self.factor;
-        for value in &mut self.values {
-            *value = -*value;
-        }
-    }
-
     pub(super) fn scale(&mut self, factor: f64) {
-        self.factor *= factor;
+        self.factor.value *= factor;
         for value in &mut self.values {
             *value *= factor;
         }
     }
 }
 
-/// A factor with ten figures and without an exponent.
-pub(super) fn decimal(factor: f64) -> String {
-    shortest(factor, 10).parse().unwrap_or(factor).to_string()
-}
-
 /// A header as a map takes it.
-pub(super) fn quoted(header: &str) -> String {
+fn quoted(header: &str) -> String {
     let is_plain = !header.contains([',', '*', '+', '"', '='])
         && !header.starts_with("sign(")
         && !header.starts_with(|first: char| first.is_ascii_digit() || "+-.".contains(first))

@@ -1,23 +1,15 @@
 //! The column of the time: by its name, and by values that rise.
 
+use std::collections::BTreeMap;
+
 use super::Confidence;
+use super::finding::{Doubt, Missing, Reason};
 use super::known::{Factor, Quantity};
 use super::reading::{Reading, UnitFrom};
+use super::source::Source;
 use crate::recording::{Preview, PreviewColumn};
+use drivebench_identify::sanity::unit_of_stamps;
 use drivebench_model::numerics::statistics::{finite, median, robust_deviation};
-use drivebench_model::text::number::{percent, shortest};
-
-pub(super) struct TimeColumn {
-    pub column: usize,
-    /// The column of the date, where the clock has none.
-    pub date: Option<usize>,
-    pub factor: Factor,
-    pub confidence: Confidence,
-    pub reasons: Vec<String>,
-    pub doubts: Vec<String>,
-    /// The stamps of the rows that are kept, s from the first; a hole counts as one.
-    pub time_s: Vec<f64>,
-}
 
 /// The steps from row to row of one column.
 struct Steps {
@@ -58,8 +50,27 @@ impl Steps {
     }
 }
 
-/// The time of the file, or what is missing.
-pub(super) fn time_column(preview: &Preview, readings: &[Reading]) -> Result<TimeColumn, String> {
+/// The time of the file; its values are s from the first row that is kept, a number that the file does not contain counted
+/// as one.
+pub(super) fn time_column(
+    preview: &Preview,
+    readings: &[Reading],
+    given: &BTreeMap<String, f64>,
+) -> Result<Source, Missing> {
+    let mut time = found(preview, readings)?;
+    time.factor = time.factor.filled(given);
+    let column = &preview.columns[time.columns[0]];
+    let numbers = column.numbers.iter();
+    let first = numbers.clone().copied().find(|value| value.is_finite()).unwrap_or_default();
+    time.values = numbers.map(|value| (value - first) * time.factor.value).collect();
+    if column.is_clock {
+        let date = preview.columns.iter().position(|other| other.is_date);
+        time.columns.splice(0..0, date);
+    }
+    Ok(time)
+}
+
+fn found(preview: &Preview, readings: &[Reading]) -> Result<Source, Missing> {
     let steps_of = |column: usize| Steps::of(&preview.columns[column], preview.stride);
     let of = |quantity| readings.iter().filter(move |reading| reading.quantity == quantity);
     let mut named: Vec<(&Reading, Steps)> = of(Quantity::Time)
@@ -71,178 +82,128 @@ pub(super) fn time_column(preview: &Preview, readings: &[Reading]) -> Result<Tim
         (!reading.is_named, reading.rank, steps.spread > 0.05, reading.column)
     };
     named.sort_by_key(preference);
-    if let Some((reading, steps)) = named.first() {
-        let others: Vec<&str> =
-            named[1..].iter().map(|(other, _)| &*preview.headers[other.column]).collect();
-        return Ok(by_name(preview, reading, steps, &others));
-    }
-    let fails = of(Quantity::Time).filter(|reading| reading.is_named).find_map(|reading| {
-        let header = &preview.headers[reading.column];
-        match steps_of(reading.column) {
-            None => Some(format!("{header:?} holds no numbers")),
-            Some(steps) if !steps.is_of_a_clock() => Some(format!(
-                "{header:?} is no clock: {} of its steps rise and {} fall",
-                percent(100.0 * steps.rising),
-                percent(100.0 * steps.falling)
-            )),
-            Some(_) => None,
+    if let Some(((reading, steps), others)) = named.split_first() {
+        let mut time = by_name(preview, reading, steps);
+        if !others.is_empty() {
+            let others = others.iter().map(|(other, _)| preview.headers[other.column].clone());
+            time.reasons.push(Reason::OthersRise(others.collect()));
         }
-    });
-    if let Some(reading) = of(Quantity::Index)
-        .find(|reading| steps_of(reading.column).is_some_and(|steps| steps.is_of_a_clock()))
-    {
+        return Ok(time);
+    }
+    let is_clock = |column: usize| steps_of(column).is_some_and(|steps| steps.is_of_a_clock());
+    if let Some(reading) = of(Quantity::Index).find(|reading| is_clock(reading.column)) {
         return Ok(by_count(preview, reading));
     }
     let is_free = |column: &usize| {
-        readings.iter().all(|reading| {
-            reading.column != *column || matches!(reading.quantity, Quantity::Channel)
-        })
+        let mut own = readings.iter().filter(|reading| reading.column == *column);
+        own.all(|reading| reading.quantity == Quantity::Channel)
     };
-    let rises = |column: &usize| {
-        steps_of(*column).is_some_and(|steps| steps.is_of_a_clock() && steps.spread < 0.5)
-    };
-    let is_named = |column: &usize| !preview.headers[*column].is_empty();
-    let mut columns = (0..preview.headers.len()).filter(is_named);
-    let found = columns.find(|column| is_free(column) && rises(column));
-    match (found, fails) {
-        (Some(column), _) => Ok(by_content(preview, column, steps_of(column).as_ref())),
-        (None, Some(fails)) => Err(format!("a time ({fails})")),
-        (None, None) => {
-            Err("a time (no column has its name, and none rises from row to row)".into())
-        }
+    let named = (0..preview.headers.len()).filter(|column| !preview.headers[*column].is_empty());
+    let mut clocks = named
+        .filter(is_free)
+        .filter_map(|column| Some((column, steps_of(column)?)))
+        .filter(|(_, steps): &(usize, Steps)| steps.is_of_a_clock() && steps.spread < 0.5);
+    if let Some((column, steps)) = clocks.next() {
+        let mut time = Source::new(column, vec![Reason::NameUnknown, rises(&steps)]);
+        time.doubts.push(Doubt::AnyRising);
+        time.settle_unit(&steps);
+        time.confidence = Confidence::Unsure;
+        return Ok(time);
     }
+    Err(of(Quantity::Time).find(|reading| reading.is_named).map_or(Missing::Time, |reading| {
+        let header = preview.headers[reading.column].clone();
+        match steps_of(reading.column) {
+            None => Missing::TimeWithoutNumbers { header },
+            Some(Steps { rising, falling, .. }) => Missing::NoClock { header, rising, falling },
+        }
+    }))
 }
 
-fn by_name(preview: &Preview, reading: &Reading, steps: &Steps, others: &[&str]) -> TimeColumn {
-    let mut reasons = vec![reading.reason.clone(), rises(steps)];
-    let mut doubts = Vec::new();
-    let (factor, confidence) = match reading.unit_from {
-        _ if preview.columns[reading.column].is_clock => {
-            reasons.push("its cells are clocks, which are read as seconds".to_owned());
-            (Factor::Known(1.0), Confidence::Sure)
-        }
-        UnitFrom::Stated => {
-            reasons.push(format!("its unit is {}", reading.unit));
-            let confidence = if reading.is_named { Confidence::Sure } else { Confidence::Likely };
-            (reading.factor.clone(), confidence)
-        }
-        _ => unit_by_values(steps, &mut reasons, &mut doubts),
-    };
-    if !others.is_empty() {
-        reasons.push(format!("{} rises too", others.join(", ")));
+fn by_name(preview: &Preview, reading: &Reading, steps: &Steps) -> Source {
+    let mut time = Source::new(reading.column, reading.reasons.clone());
+    if preview.columns[reading.column].is_clock {
+        time.reasons.push(Reason::Clocks);
+        time.reasons.dedup();
+        time.reasons.push(rises(steps));
+        return time;
     }
-    column_of(preview, reading.column, factor, confidence, (reasons, doubts))
+    time.reasons.push(rises(steps));
+    let stated = reading.unit.filter(|_| reading.unit_from == UnitFrom::Stated);
+    let Some(unit) = stated else {
+        time.settle_unit(steps);
+        return time;
+    };
+    time.factor = reading.factor;
+    time.reasons.push(Reason::Unit(unit.name));
+    time.confidence = if reading.is_named { Confidence::Sure } else { Confidence::Likely };
+    time
 }
 
-fn by_count(preview: &Preview, reading: &Reading) -> TimeColumn {
-    let mut reasons = vec![reading.reason.clone(), "no other column is a clock".to_owned()];
+fn by_count(preview: &Preview, reading: &Reading) -> Source {
+    let mut time = Source::new(reading.column, reading.reasons.clone());
+    time.reasons.push(Reason::OnlyClock);
     // Below this header of an oscilloscope stands the period.
     let mut under = preview.headers.iter().zip(&preview.units);
     let period = under.find(|(header, _)| header.eq_ignore_ascii_case("increment"));
     if let Some(period) = period.and_then(|(_, cell)| cell.parse::<f64>().ok()) {
-        reasons.push(format!("{period} s pass from row to row, as the row of units says"));
-        let factor = Factor::Known(period);
-        let parts = (reasons, Vec::new());
-        return column_of(preview, reading.column, factor, Confidence::Sure, parts);
-    }
-    let doubts = vec!["the time from row to row does not stand in the file".to_owned()];
-    let factor = Factor::Hole("PERIOD_S".to_owned());
-    column_of(preview, reading.column, factor, Confidence::Likely, (reasons, doubts))
-}
-
-fn by_content(preview: &Preview, column: usize, steps: Option<&Steps>) -> TimeColumn {
-    let mut reasons = vec!["its name is unknown".to_owned()];
-    let mut doubts = vec!["it may be any quantity that rises".to_owned()];
-    let mut factor = Factor::Known(1.0);
-    if let Some(steps) = steps {
-        reasons.push(rises(steps));
-        factor = unit_by_values(steps, &mut reasons, &mut doubts).0;
-    }
-    column_of(preview, column, factor, Confidence::Unsure, (reasons, doubts))
-}
-
-fn rises(steps: &Steps) -> String {
-    format!(
-        "it rises in {} of the rows, by {} as a rule",
-        percent(100.0 * steps.rising),
-        shortest(steps.step, 4)
-    )
-}
-
-/// The unit of a clock without one: stamps of an epoch by their size, others by a period that a log of a motor can have.
-fn unit_by_values(
-    steps: &Steps,
-    reasons: &mut Vec<String>,
-    doubts: &mut Vec<String>,
-) -> (Factor, Confidence) {
-    // Seconds since 1970 of the years from 2001 to 2033.
-    let epochs = [(1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")];
-    let epoch = epochs.iter().find(|(factor, _)| (1e9..2e9).contains(&(steps.first * factor)));
-    if let Some((factor, unit)) = epoch {
-        reasons.push(format!("its values are {unit} since 1970"));
-        return (Factor::Known(*factor), Confidence::Sure);
-    }
-    // From 1982 to 2064, with fractions.
-    if (30_000.0..60_000.0).contains(&steps.first) && !steps.is_whole && steps.step < 1e-3 {
-        reasons.push("its values are the days of a spreadsheet".to_owned());
-        return (Factor::Known(86_400.0), Confidence::Likely);
-    }
-    let is_period = |factor: f64| (2e-5..=0.5).contains(&(steps.step * factor));
-    let mut possible: Vec<(f64, &str)> =
-        epochs[..3].iter().copied().filter(|(factor, _)| is_period(*factor)).collect();
-    // A clock of whole numbers counts; one with fractions is in s.
-    if steps.is_whole {
-        possible.retain(|(_, unit)| *unit != "s");
+        time.reasons.push(Reason::Period(period));
+        time.factor = Factor::of(period);
     } else {
-        possible.truncate(1);
+        time.doubts.push(Doubt::Period);
+        time.factor = Factor::ONE.times("PERIOD_S");
+        time.confidence = Confidence::Likely;
     }
-    match possible.as_slice() {
-        [] => {
-            doubts.push(format!(
-                "no unit is written, and steps of {} are no usual period in s, ms or us",
-                shortest(steps.step, 4)
-            ));
-            (Factor::Known(1.0), Confidence::Unsure)
-        }
-        [(factor, unit)] => {
-            let period = shortest(1e3 * steps.step * factor, 4);
-            reasons.push(format!("no unit is written; in {unit} its period is {period} ms"));
-            (Factor::Known(*factor), Confidence::Likely)
-        }
-        [(factor, unit), others @ ..] => {
-            let period = shortest(1e3 * steps.step * factor, 4);
-            let others: Vec<String> = others
-                .iter()
-                .map(|(factor, unit)| {
-                    format!("{unit} ({} ms)", shortest(1e3 * steps.step * factor, 4))
-                })
-                .collect();
-            doubts.push(format!(
-                "no unit is written: taken as {unit} (a period of {period} ms), and {} is as usual",
-                others.join(", ")
-            ));
-            (Factor::Known(*factor), Confidence::Unsure)
-        }
-    }
+    time
 }
 
-fn column_of(
-    preview: &Preview,
-    column: usize,
-    factor: Factor,
-    confidence: Confidence,
-    (reasons, doubts): (Vec<String>, Vec<String>),
-) -> TimeColumn {
-    let scale = match factor {
-        Factor::Known(factor) => factor,
-        Factor::Hole(_) => 1.0,
-    };
-    let numbers = &preview.columns[column].numbers;
-    let first = numbers.iter().copied().find(|value| value.is_finite()).unwrap_or_default();
-    let time_s = numbers.iter().map(|value| (value - first) * scale).collect();
-    let is_clock = preview.columns[column].is_clock;
-    let date = preview.columns.iter().position(|other| other.is_date).filter(|_| is_clock);
-    TimeColumn { column, date, factor, confidence, reasons, doubts, time_s }
+fn rises(steps: &Steps) -> Reason {
+    Reason::Rises { share: steps.rising, step: steps.step }
+}
+
+impl Source {
+    /// The unit of a clock without one: stamps of an epoch by their size, others by a period that a log of a motor can have.
+    fn settle_unit(&mut self, steps: &Steps) {
+        // From the year 2000 on, in one row a second or more.
+        let is_epoch = |factor: f64| (9.4e8..4.2e9).contains(&(steps.first * factor));
+        let of_stamps = unit_of_stamps(steps.first, steps.step);
+        let of_stamps = of_stamps.map(|unit| (unit.name, unit.factor.parse().unwrap_or(1.0)));
+        let seconds = (is_epoch(1.0) && steps.step <= 1.0).then_some(("s since 1970", 1.0));
+        if let Some((name, factor)) = of_stamps.or(seconds) {
+            self.reasons.push(Reason::Stamps(name));
+            self.factor = Factor::of(factor);
+            self.confidence = if is_epoch(factor) && factor <= 1.0 {
+                Confidence::Sure
+            } else {
+                Confidence::Likely
+            };
+            return;
+        }
+        let units = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
+        let is_period = |factor: f64| (2e-5..=0.5).contains(&(steps.step * factor));
+        let mut possible: Vec<(&'static str, f64)> =
+            units.into_iter().filter(|(_, factor)| is_period(*factor)).collect();
+        // A clock of whole numbers counts; one with fractions is in s.
+        if steps.is_whole {
+            possible.retain(|(unit, _)| *unit != "s");
+        } else {
+            possible.truncate(1);
+        }
+        let Some((unit, factor)) = possible.first().copied() else {
+            self.doubts.push(Doubt::NoUsualPeriod { step: steps.step });
+            self.confidence = Confidence::Unsure;
+            return;
+        };
+        self.factor = Factor::of(factor);
+        let period = |factor: f64| 1e3 * steps.step * factor;
+        if possible.len() == 1 {
+            self.reasons.push(Reason::UsualPeriod { unit, period_ms: period(factor) });
+            self.confidence = Confidence::Likely;
+        } else {
+            let units = possible.into_iter().map(|(unit, factor)| (unit, period(factor)));
+            self.doubts.push(Doubt::TimeUnit { units: units.collect() });
+            self.confidence = Confidence::Unsure;
+        }
+    }
 }
 
 /// Rows at which the time rises, and is there.

@@ -266,7 +266,10 @@ impl Search<'_> {
         let mut under = under.filter(|(_, line)| !is_blank(line) && !is_comment(line)).take(4);
         under.find_map(|(at, line)| {
             let mut row = cells(line, separator).unwrap_or_default();
-            if row.iter().any(|cell| is_datum(cell)) {
+            // A row of units may end with the period, as that of an oscilloscope.
+            let units_there = row.iter().filter(|cell| is_unit(cell)).count();
+            let is_of_units = units_there > 1 && row.first().is_some_and(|cell| !is_datum(cell));
+            if !is_of_units && row.iter().any(|cell| is_datum(cell)) {
                 return Some(units.take().map(|units| (units, at)));
             }
             let fits = filled(&row) <= columns && filled(&row) > 0;

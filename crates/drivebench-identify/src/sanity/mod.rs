@@ -29,7 +29,8 @@ pub use fault::{
 };
 pub use mask::mask;
 pub use scale::{
-    ColumnUnit, LONGEST_ARMATURE_S, is_unit, of_header, speed_over_angle, unit_of, unit_of_stamps,
+    ColumnUnit, LONGEST_ARMATURE_S, any_unit, is_unit, of_header, speed_over_angle, unit_of,
+    unit_of_stamps,
 };
 pub use table::{Balances, Coefficient, balances, is_of_a_supply};
 

@@ -15,12 +15,7 @@ const DEGREES: f64 = 180.0 / PI;
 
 /// Units that are taken for rad/s: `column = factor * true value`.
 fn speed_units() -> [(f64, &'static str); 4] {
-    [
-        (rpm_from_rad_s(1.0), "r/min"),
-        (DEGREES, "deg/s"),
-        (1.0 / TAU, "turns per second"),
-        (1e3, "mrad/s"),
-    ]
+    [(rpm_from_rad_s(1.0), "r/min"), (DEGREES, "deg/s"), (1.0 / TAU, "turns/s"), (1e3, "mrad/s")]
 }
 
 /// Refuses a speed in one of those units.
@@ -268,18 +263,47 @@ fn fast(table: &Table, confirmed: bool, by_angle: bool, back_emf: Option<f64>) -
         .then(|| Finding::caution(Kind::Magnitude, &OF_SPEED, Fault::Unit(fault)))
 }
 
-/// Units of columns: `(target, names without blanks, unit, factor to the target's)`. The target's own unit has the factor 1.
-const UNITS: &[(&str, &str, &str, &str)] = &[
+type Entry = (&'static str, &'static str, &'static str, &'static str);
+
+/// Units of columns: `(target, names without blanks, unit, factor to the target's)`. The target's own unit has the factor 1. A
+/// word in capitals stands for a number that no file contains. A linear axis has force, travel and m/s.
+const UNITS: &[Entry] = &[
+    // Of no target, and before all others: a frequency is a speed only where a map takes it for one.
+    (
+        "",
+        "w watt watts kw mw hz khz g m/s2 m/s^2 m/s\u{b2} km/h mph kgf gf kg \u{b0}f ohm gf/w ips in bar pa",
+        "of another quantity",
+        "1",
+    ),
+    ("duty", "% percent prozent pourcent", "%", "0.01"),
     ("speed_rad_s", "krpm", "1000 r/min", "104.719755"),
     (
         "speed_rad_s",
-        "rpm r/min u/min rev/min 1/min min-1 min^-1 min\u{207b}\u{b9} tr/min giri/min",
-        "r/min (a factor 9.5493)",
+        "rpm r/min u/min rev/min revolutions/minute rotations/minute 1/min min-1 min^-1 min\u{207b}\u{b9} tr/min giri/min",
+        "r/min",
         "0.104719755",
     ),
-    ("speed_rad_s", "deg/s deg/sec dps degrees/s \u{b0}/s \u{b0}/sec", "deg/s", "0.01745329252"),
-    ("speed_rad_s", "rps rev/s revs/s turn/s turns/s r/s hz", "turns per second", "6.283185307"),
+    (
+        "speed_rad_s",
+        "deg/s deg/sec deg/second dps degrees/s degrees/sec degrees/second \u{b0}/s \u{b0}/sec",
+        "deg/s",
+        "0.01745329252",
+    ),
+    (
+        "speed_rad_s",
+        "rps rev/s revs/s turn/s turns/s turns/sec turns/second rotations/s rotations/sec rotations/second revolutions/second r/s hz",
+        "turns/s",
+        "6.283185307",
+    ),
     ("speed_rad_s", "mrad/s", "mrad/s", "0.001"),
+    ("speed_rad_s", "m/s m/sec", "m/s", "1"),
+    ("speed_rad_s", "mm/s mm/sec", "mm/s", "0.001"),
+    (
+        "speed_rad_s",
+        "count/s counts/s cnt/s cnts/s inc/s incs/s tick/s ticks/s pulse/s pulses/s step/s steps/s qc/s",
+        "counts/s",
+        "6.283185307/COUNTS_PER_TURN",
+    ),
     ("current_a", "ma milliamp milliamps milliampere", "mA", "0.001"),
     ("current_a", "ka", "kA", "1000"),
     ("voltage_v", "mv millivolt millivolts", "mV", "0.001"),
@@ -291,11 +315,25 @@ const UNITS: &[(&str, &str, &str, &str)] = &[
     ("angle_rad", "deg degree degrees \u{b0}", "degrees", "0.01745329252"),
     ("angle_rad", "rev revs turn turns", "turns", "6.283185307"),
     ("angle_rad", "mrad", "mrad", "0.001"),
+    ("angle_rad", "m meter meters metre metres", "m", "1"),
+    ("angle_rad", "mm", "mm", "0.001"),
+    (
+        "angle_rad",
+        "count counts cnt cnts inc incs tick ticks pulse pulses step steps qc",
+        "counts",
+        "6.283185307/COUNTS_PER_TURN",
+    ),
     ("torque_n_m", "mnm nmm mn.m n.mm", "mN.m", "0.001"),
     ("torque_n_m", "ncm n.cm", "N.cm", "0.01"),
+    ("torque_n_m", "kgcm kg.cm kgfcm kgf.cm kg*cm", "kgf.cm", "0.0980665"),
+    ("torque_n_m", "ozin oz.in oz-in ozfin ozf.in", "ozf.in", "0.007061552"),
+    ("torque_n_m", "lbin lb.in lb-in lbfin lbf.in in.lbf", "lbf.in", "0.112984829"),
+    ("torque_n_m", "lbft lb.ft lb-ft ftlb ft.lb lbfft lbf.ft", "lbf.ft", "1.355817948"),
+    ("torque_n_m", "n newton newtons", "N", "1"),
+    ("torque_n_m", "permille \u{2030}", "per mille of the rated torque", "0.001*RATED_TORQUE_N_M"),
     (
         "speed_rad_s",
-        "rad/s rad/sec rads/s rad.s-1 rad\u{b7}s-1 rad*s^-1 rad\u{b7}s\u{207b}\u{b9} 1/s s-1 s^-1",
+        "rad/s rad/sec rads/s rad/second radians/s radians/sec radians/second rad.s-1 rad\u{b7}s-1 rad*s^-1 rad\u{b7}s\u{207b}\u{b9} 1/s s-1 s^-1",
         "rad/s",
         "1",
     ),
@@ -315,6 +353,11 @@ pub struct ColumnUnit {
     pub factor: &'static str,
 }
 
+fn named(is_named: impl Fn(&str) -> bool) -> impl Iterator<Item = &'static Entry> {
+    UNITS.iter().filter(move |row| row.1.split(' ').any(&is_named))
+}
+
+/// A unit of this target that needs no further number.
 fn unit(target: &str, is_named: impl Fn(&str) -> bool) -> Option<ColumnUnit> {
     // Targets of one quantity.
     let target = match target {
@@ -323,8 +366,7 @@ fn unit(target: &str, is_named: impl Fn(&str) -> bool) -> Option<ColumnUnit> {
         "time_half_width_s" => "time_s",
         other => other,
     };
-    let mut rows = UNITS.iter().filter(|row| row.0 == target);
-    let row = rows.find(|row| row.1.split(' ').any(&is_named))?;
+    let row = named(is_named).find(|row| row.0 == target && row.3.parse::<f64>().is_ok())?;
     Some(ColumnUnit { name: row.2, factor: row.3 })
 }
 
@@ -334,10 +376,17 @@ pub fn unit_of(target: &str, text: &str) -> Option<ColumnUnit> {
     unit(target, |name| name == text)
 }
 
-/// Whether a text is the unit of any target.
-pub fn is_unit(text: &str) -> bool {
+/// The unit of any quantity, and its target; the target is empty for quantities that no map needs. The factor may have a
+/// number that no file contains: `A*NAME` or `A/NAME`.
+pub fn any_unit(text: &str) -> Option<(&'static str, ColumnUnit)> {
     let text = bare_unit(text);
-    UNITS.iter().any(|row| row.1.split(' ').any(|name| name == text))
+    let row = named(move |name| name == text).next()?;
+    Some((row.0, ColumnUnit { name: row.2, factor: row.3 }))
+}
+
+/// Whether a text is the unit of any quantity.
+pub fn is_unit(text: &str) -> bool {
+    any_unit(text).is_some()
 }
 
 /// In small letters, without blanks and brackets.
@@ -400,7 +449,8 @@ mod tests {
     #[test]
     fn a_unit_in_the_header_is_refused_unless_a_factor_is_given() {
         for (target, header, part) in [
-            ("speed_rad_s", "rpm", "9.5493"),
+            ("speed_rad_s", "rpm", "r/min"),
+            ("torque_n_m", "M [kgcm]", "0.0980665"),
             ("speed_rad_s", "Motor speed [RPM]", "\"0.104719755\""),
             ("speed_rad_s", "n (1/min)", "r/min"),
             ("current_a", "i mA", "\"0.001\""),
@@ -435,8 +485,10 @@ mod tests {
             ("current_a", "counts", None),
         ] {
             assert_eq!(unit_of(target, text).map(|unit| unit.factor), factor, "{target} {text}");
-            assert_eq!(is_unit(text), text != "counts", "{text}");
         }
+        assert!(is_unit("(counts)") && !is_unit("colour"));
+        let found = any_unit("counts/s").unwrap();
+        assert_eq!((found.0, found.1.factor), ("speed_rad_s", "6.283185307/COUNTS_PER_TURN"));
     }
 
     #[test]

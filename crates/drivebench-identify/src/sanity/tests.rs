@@ -277,7 +277,7 @@ fn units_are_named_with_their_factor() {
         ("\"r/min\"|factor: 9.549", |it| {
             scale(&mut it.speed, PER_MINUTE);
         }),
-        ("\"turns per second\"|factor: 0.159", |it| {
+        ("\"turns/s\"|factor: 0.159", |it| {
             scale(&mut it.speed, 1.0 / TAU);
         }),
     ];
