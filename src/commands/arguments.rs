@@ -36,7 +36,7 @@ pub(super) struct TextArguments {
     /// Lines before the header row of a foreign CSV; without it the header row is found
     #[arg(long, value_name = "LINES", value_parser = clap::value_parser!(u16))]
     skip: Option<u16>,
-    /// Cells that stand for a missing value, beside empty ones and NaN: '#N/A,ERR,-9999'
+    /// Cells that stand for a missing value, as empty ones and NaN do: '#N/A,ERR,-9999'
     #[arg(long, value_name = "CELL,...")]
     missing: Option<MissingValues>,
 }

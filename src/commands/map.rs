@@ -62,7 +62,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     value["lines_before_headers"] = found.lines_before.into();
     let document = document(arguments, &found, &proposal);
     terminal.document(&value, arguments.json, true, &document)?;
-    if proposal.is_own || proposal.is_believed() {
+    if proposal.is_own || proposal.is_settled() {
         return Ok(());
     }
     let file = arguments.file.display();

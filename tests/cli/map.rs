@@ -206,6 +206,9 @@ fn a_map_that_is_not_whole_is_status_1_and_says_what_it_lacks() {
     has(&done.error(), &["speed_rad_s needs POLE_PAIRS"]);
     let few = desk.put("few.csv", "colour,shape\n1,2\n2,1\n1,3\n2,2\n");
     call("map {}", &[&few]).fails(1, &["no map", "a time"]);
+    let found = call("map {} --json", &[&few]).expect(1).json();
+    assert_eq!(found["missing"][0]["code"], "no_time");
+    assert_eq!(found["items"][0]["doubts"][0]["code"], "another_column_fits_as_well");
     call("map {}", &[&desk.path("none.csv")]).fails(2, &["none.csv"]);
     refusals("map log.csv --number POLES=7 => POLE_PAIRS", &[]);
 }

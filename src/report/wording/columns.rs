@@ -61,7 +61,7 @@ pub fn reason(reason: &Reason) -> String {
         Reason::Effective => {
             "an effective value: the amplitude of a sine is 1.414214 times as large".to_owned()
         }
-        Reason::Reaches(most) => format!("it reaches {}", shortest(*most, 3)),
+        Reason::Reaches(most) => format!("its largest value is {}", shortest(*most, 3)),
         Reason::ShareOf { supply } => {
             format!("a bridge applies this share of its supply, {supply:?}")
         }
@@ -129,7 +129,7 @@ pub fn doubt(doubt: &Doubt) -> String {
             "speed and torque do not show its sign: the work of the record is near zero".to_owned()
         }
         Doubt::NotOfSupply => {
-            "its name is that of a supply, but it changes like that of a motor".to_owned()
+            "its name is that of a supply, and it changes like the voltage of a motor".to_owned()
         }
         Doubt::Command => {
             "it is a command without a unit: only the program of the drive defines it".to_owned()

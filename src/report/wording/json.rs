@@ -142,7 +142,7 @@ pub fn map(found: &Proposal) -> Value {
     value["doubts"] = coded(&found.doubts, sanity::fault);
     value["unused"] = coded(&found.unused, columns::unused);
     value["confidence"] = json!(found.confidence());
-    value["believed"] = found.is_believed().into();
+    value["settled"] = found.is_settled().into();
     value
 }
 

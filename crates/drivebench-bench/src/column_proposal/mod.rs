@@ -108,7 +108,7 @@ impl Proposal {
     }
 
     /// A map that is complete and of which no quantity is unsure.
-    pub fn is_believed(&self) -> bool {
+    pub fn is_settled(&self) -> bool {
         self.confidence() != Confidence::Unsure
     }
 }

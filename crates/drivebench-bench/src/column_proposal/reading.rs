@@ -192,7 +192,8 @@ impl Reading {
             (None, Speed | ElectricalSpeed | Angle | Channel) => UnitFrom::Open,
             (None, _) => UnitFrom::Convention,
         };
-        let unit = stated.or(usual).or_else(|| quantity.usual_unit().and_then(Unit::of));
+        let erpm = || (quantity == ElectricalSpeed).then(|| Unit::of("r/min"))?;
+        let unit = stated.or(usual).or_else(erpm);
         Self {
             column,
             quantity,
@@ -213,21 +214,5 @@ impl Reading {
         let mut reasons = self.reasons;
         reasons.push(Reason::SensorVoltage);
         Self { quantity, factor: Factor::ONE.times(number), unit: None, rank: 1, reasons, ..self }
-    }
-}
-
-impl Quantity {
-    /// The unit that is usual where none is stated.
-    const fn usual_unit(self) -> Option<&'static str> {
-        match self {
-            Self::Time => Some("s"),
-            Self::Voltage | Self::VoltageCommand | Self::SupplyVoltage => Some("V"),
-            Self::Current | Self::SupplyCurrent => Some("A"),
-            Self::Speed | Self::SpeedReference => Some("rad/s"),
-            Self::ElectricalSpeed => Some("r/min"),
-            Self::Angle => Some("rad"),
-            Self::Torque => Some("N.m"),
-            _ => None,
-        }
     }
 }

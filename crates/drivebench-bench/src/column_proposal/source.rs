@@ -29,7 +29,7 @@ pub(super) struct Source {
     pub confidence: Confidence,
     pub reasons: Vec<Reason>,
     pub doubts: Vec<Doubt>,
-    /// Words that tell one motor of the file from another.
+    /// Words that distinguish the motors of the file.
     pub words: Vec<String>,
     /// In SI, but for a number that the file does not contain.
     pub values: Vec<f64>,
@@ -345,7 +345,7 @@ impl Source {
         let mut text = names.join(if self.target.is_none() { "+" } else { "*" });
         let is_plain = self.columns.len() == 1 && self.sign_of.is_none();
         let header = &headers[self.columns[0]];
-        // Without a factor the reader of the file would ask for one.
+        // The reader of the file refuses such a header without a factor.
         let needs_one = is_plain && sanity::of_header(self.key(), header, false).is_some();
         if needs_one || !self.factor.is_one() {
             let _ = write!(text, "*{}", self.factor.text());

@@ -57,14 +57,14 @@ fn proposal_with(
     found
 }
 
-/// What a proposal says of one quantity: confidence and source.
+/// Confidence and source of one quantity.
 fn of(found: &Proposal, target: &str) -> String {
     let item = found.items.iter().find(|item| item.target == target);
     item.map_or_else(String::new, |item| format!("{} {}", item.confidence.name(), item.source))
 }
 
 #[test]
-fn a_unit_that_nothing_tells_is_unsure() {
+fn a_unit_that_nothing_shows_is_unsure() {
     let found =
         proposal("Time,Voltage,Current,Speed", |_, [t, u, i, w, _]| format!("{t},{u},{i},{w}"));
     assert_eq!(found.confidence(), Confidence::Unsure);
@@ -87,7 +87,7 @@ fn a_unit_that_nothing_tells_is_unsure() {
 }
 
 #[test]
-fn balances_tell_columns_and_signs() {
+fn balances_distinguish_columns_and_signs() {
     // Without names that are known: in another order, and a constant column between them.
     let found = proposal("a,b,c,d,e", |place, [t, u, i, w, _]| {
         format!("{w},{i},{t},7,{}", u + 1e-9 * place as f64)
@@ -96,7 +96,7 @@ fn balances_tell_columns_and_signs() {
     assert_eq!(of(&found, "voltage_v"), "likely e");
     assert_eq!(of(&found, "current_a"), "likely b");
     assert_eq!(of(&found, "speed_rad_s"), "unsure a");
-    assert!(!found.is_believed());
+    assert!(!found.is_settled());
     for (sign, place) in [([-1.0, 1.0], "current_a"), ([1.0, -1.0], "speed_rad_s")] {
         let found = proposal("t_s,u_V,i_A,w_rad_s", |_, [t, u, i, w, _]| {
             format!("{t},{u},{},{}", sign[0] * i, sign[1] * w)
@@ -115,12 +115,12 @@ fn balances_tell_columns_and_signs() {
 }
 
 #[test]
-fn the_angle_tells_the_unit_of_the_speed() {
+fn the_angle_shows_the_unit_of_the_speed() {
     let found = proposal("t_s,u_V,i_A,vel,pos_deg", |_, [t, u, i, w, angle]| {
         format!("{t},{u},{i},{},{}", rpm_from_rad_s(*w), angle.to_degrees())
     });
     assert_eq!(of(&found, "speed_rad_s"), "likely vel*0.104719755", "{found:#?}");
-    // An electrical speed beside an encoder.
+    // An electrical speed and an encoder.
     let found = proposal("t_s,u_V,i_A,erpm,encoder_deg", |_, [t, u, i, w, angle]| {
         format!("{t},{u},{i},{},{}", 7.0 * rpm_from_rad_s(*w), angle.to_degrees())
     });
@@ -182,12 +182,12 @@ fn what_the_file_does_not_contain_is_a_hole() {
         let found = proposal(head, |_, values| row(values));
         let map = found.map.clone().unwrap();
         assert!(map.contains(hole), "{head}: {map}");
-        assert!(!found.is_believed(), "{head}");
+        assert!(!found.is_settled(), "{head}");
         let named = found.holes().next().unwrap();
         assert!(named.name == name && !named.how.is_empty(), "{head}");
         let found = proposal_with(head, |_, values| row(values), &[(name, value)]);
         let map = found.map.clone().unwrap();
-        assert!(map.contains(filled) && found.is_believed(), "{head}: {map} {found:#?}");
+        assert!(map.contains(filled) && found.is_settled(), "{head}: {map} {found:#?}");
     }
 }
 
@@ -211,7 +211,7 @@ fn supplies_duties_and_unsigned_signals() {
         format!("{t},{},24,{i},{}", u / 24.0, w.abs())
     });
     assert_eq!(of(&found, "speed_rad_s"), "likely w_rad_s*sign(duty)", "{found:#?}");
-    // So does a current beside a set-point of the same motor.
+    // So does a current by the set-point of the same motor.
     let head = "t_ms,m1setvel,m1vel,m1cur,m2setvel,m2vel,m2cur";
     let found = proposal(head, |_, [t, u, i, w, _]| {
         format!("{},{u},{w},{},{},{},{}", 1e3 * t, i.abs(), -u, -w, i.abs())
