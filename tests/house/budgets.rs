@@ -6,7 +6,7 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 30_200),
+    ("crates/drivebench-bench", 29_900),
     ("crates/drivebench-control", 6_690),
     ("crates/drivebench-diagnose", 21_430),
     ("crates/drivebench-emulator", 12_470),
@@ -16,7 +16,7 @@ const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-studies", 9_890),
     ("firmware-protocol", 5_010),
     ("src/commands", 14_900),
-    ("src/report", 8_930),
+    ("src/report", 9_040),
     ("src/runtime", 2_870),
     ("src/tui", 8_020),
     ("src/workflow", 5_040),
