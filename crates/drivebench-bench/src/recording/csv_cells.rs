@@ -147,8 +147,14 @@ impl<R: Read> Cells<R> {
     }
 
     /// A cell of the present line, without blanks at its ends.
+    #[inline]
     pub(super) fn get(&self, field: usize) -> &str {
-        self.record[field].trim()
+        let cell = &self.record[field];
+        // The usual cell begins and ends with a printed character.
+        match cell.as_bytes() {
+            [b'!'..=b'~', .., b'!'..=b'~'] | [b'!'..=b'~'] => cell,
+            _ => cell.trim(),
+        }
     }
 }
 

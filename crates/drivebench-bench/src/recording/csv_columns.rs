@@ -80,12 +80,13 @@ fn date_and_clock<'a>(header: &'a str, headers: &[String]) -> Option<[&'a str; 2
 }
 
 pub(super) fn columns_by_map(
-    headers: &[String],
+    head: &Head,
     map: &ColumnMap,
     file: &str,
 ) -> Result<Vec<Column>, RecordingError> {
+    let headers = &head.headers;
     let cell = |name: &str, sign| -> Result<Cell, RecordingError> {
-        Ok(Cell { field: field_of(headers, name, file)?, sign })
+        Ok(Cell { field: field_of(head, name, file)?, sign })
     };
     let columns = map.items().iter().map(|item| {
         let pair = date_and_clock(&item.header, headers).filter(|_| item.target.is_none());
@@ -147,12 +148,13 @@ pub(super) fn convert(columns: &mut [Column], head: &Head) -> Vec<String> {
 }
 
 pub(super) fn columns_of_our_own(
-    headers: &[String],
+    head: &Head,
     file: &str,
     warnings: &mut Vec<String>,
 ) -> Result<Vec<Column>, RecordingError> {
+    let headers = &head.headers;
     let plain = |header, target| {
-        let field = field_of(headers, header, file)?;
+        let field = field_of(head, header, file)?;
         let cells = vec![Cell { field, sign: None }];
         Ok(Column { target, cells, ..Column::default() })
     };
@@ -175,13 +177,15 @@ pub(super) fn columns_of_our_own(
     Ok(columns)
 }
 
-fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, RecordingError> {
+fn field_of(head: &Head, header: &str, file: &str) -> Result<usize, RecordingError> {
+    let headers = &head.headers;
     let fields: Vec<usize> = (0..headers.len()).filter(|field| headers[*field] == header).collect();
     let (file, header) = (file.to_owned(), header.to_owned());
     match (fields.first(), fields.len()) {
         (Some(field), 1) => Ok(*field),
         (Some(_), count) => Err(RecordingError::AmbiguousHeader { file, header, count }),
         (None, _) => {
+            head.refuse_numbers(&file)?;
             let names = headers.iter().map(String::as_str).filter(|name| !name.is_empty());
             let near = nearest(&header, names)
                 .map_or_else(String::new, |name| format!("did you mean {name:?}? "));
@@ -191,13 +195,6 @@ fn field_of(headers: &[String], header: &str, file: &str) -> Result<usize, Recor
 }
 
 fn map_help(headers: &[String]) -> String {
-    if headers.iter().all(|name| name.is_empty() || name.parse::<f64>().is_ok()) {
-        let names: Vec<String> = (1..=headers.len()).map(|place| format!("c{place}")).collect();
-        return format!(
-            "the file has no header row: write one before its first line, as sed '1i {}' FILE > named.csv does",
-            names.join(",")
-        );
-    }
     let there: Vec<String> = headers.iter().map(|name| format!("{name:?}")).collect();
     format!("the file has {}; name them with --map 'time_s=HEADER,...'", there.join(", "))
 }

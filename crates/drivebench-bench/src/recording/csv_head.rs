@@ -43,6 +43,24 @@ const NO_TEXT: [(&[u8], &str); 5] = [
     (b"MATLAB 5.0 MAT-file", "a MAT-file"),
 ];
 
+impl Head {
+    /// Numbers are no names: the header row is missing.
+    pub(super) fn refuse_numbers(&self, file: &str) -> Result<(), RecordingError> {
+        let are_numbers = self.headers.iter().any(|name| is_datum(name))
+            && self.headers.iter().all(|name| name.is_empty() || is_datum(name));
+        if !are_numbers {
+            return Ok(());
+        }
+        let names: Vec<String> = (1..=self.headers.len()).map(|at| format!("c{at}")).collect();
+        let separator = match self.separator {
+            b'\t' => "\\t".to_owned(),
+            other => char::from(other).to_string(),
+        };
+        let names = names.join(&separator);
+        Err(RecordingError::NoHeader { file: file.to_owned(), line: self.line, names })
+    }
+}
+
 /// Reads the head, and returns it with the lines behind it.
 ///
 /// `skip`: lines before the header row, where they are known. `wanted` counts the wanted columns among headers, 0 where the
@@ -121,6 +139,15 @@ fn refuse_other_forms(ahead: &[u8], file: &str) -> Result<(), RecordingError> {
     if let Some((_, form)) = NO_TEXT.iter().find(|(bytes, _)| ahead.starts_with(bytes)) {
         return Err(RecordingError::NotText { file: file.to_owned(), form });
     }
+    let text = ahead.trim_ascii_start();
+    let is_json = match text {
+        [b'{', ..] => true,
+        [b'[', rest @ ..] => rest.trim_ascii_start().starts_with(b"{"),
+        _ => false,
+    };
+    if is_json {
+        return Err(RecordingError::NotText { file: file.to_owned(), form: "a JSON file" });
+    }
     // In Latin letters every second byte of UTF-16 is zero.
     let begin = &ahead[..ahead.len().min(512)];
     let zeros = |parity: usize| begin.iter().skip(parity).step_by(2).filter(|b| **b == 0).count();
@@ -132,7 +159,15 @@ fn refuse_other_forms(ahead: &[u8], file: &str) -> Result<(), RecordingError> {
     } else if half > 4 && even > half / 2 && odd < half / 8 {
         "UTF-16BE"
     } else {
-        return Ok(());
+        // Characters that no text has. A write that was cut off leaves zeros, which are errors of their rows.
+        let is_control = |byte: &&u8| matches!(byte, 1..=8 | 14..=26 | 28..=31);
+        let is_binary = 32 * begin.iter().filter(is_control).count() > begin.len();
+        let form = "binary data";
+        return if is_binary {
+            Err(RecordingError::NotText { file: file.to_owned(), form })
+        } else {
+            Ok(())
+        };
     };
     Err(RecordingError::Utf16 { file: file.to_owned(), encoding })
 }
@@ -239,7 +274,7 @@ impl Search<'_> {
         None
     }
 
-    /// The first line that is no comment, with the separator that gives most cells.
+    /// The first line that is no comment, with the separator that gives as many cells in most of the next lines, then most cells.
     fn first(&self, file: &str) -> Result<(usize, u8), RecordingError> {
         let Some((at, line)) = self.candidates().find(|(_, line)| !is_comment(line)) else {
             let file = file.to_owned();
@@ -250,11 +285,19 @@ impl Search<'_> {
                 RecordingError::Empty { file }
             });
         };
-        let split = |separator: &u8| cells(line, *separator).map(|cells| cells.len());
+        // The cells of the line, if some of the next lines have as many: a decimal comma does not stand in each.
+        let split = |separator: &u8| -> Result<(usize, usize), LineError> {
+            let count = cells(line, *separator)?.len();
+            let next = self.lines[at + 1..].iter().take(8);
+            let alike = next.filter(|line| {
+                count > 1 && cells(line, *separator).is_ok_and(|cells| cells.len() == count)
+            });
+            Ok((alike.count(), count))
+        };
         let counts = self.separators.iter().map(split).collect::<Result<Vec<_>, _>>();
         let counts = counts.map_err(|error| at_line(&error, file, at + 1))?;
-        let longest = counts.iter().max();
-        let chosen = counts.iter().position(|count| Some(count) == longest).unwrap_or_default();
+        let most = counts.iter().max();
+        let chosen = counts.iter().position(|count| Some(count) == most).unwrap_or_default();
         Ok((at, self.separators[chosen]))
     }
 
@@ -378,6 +421,9 @@ mod tests {
             (&big, "UTF-16BE"),
             (b"PK\x03\x04...", ".xlsx"),
             (b"\x1f\x8b\x08", "gzip"),
+            (b"{\n \"t\": [0, 1]}", "a JSON file"),
+            (b"[ {\"t\": 0}]", "a JSON file"),
+            (&[b'a', 2, 0xE7, 19, 200, 7, 0, 1, 99], "binary data"),
         ] {
             let error = read_head(bytes, "f", None, |_| 0).err().unwrap();
             let text = format!("{error}: {}", error.help());

@@ -42,6 +42,7 @@ impl NumberFormat {
     }
 
     /// NaN for a missing cell.
+    #[inline]
     pub(super) fn number(&mut self, cell: &str) -> Result<f64, NoNumber> {
         if cell.is_empty() {
             return Ok(f64::NAN);
@@ -54,6 +55,11 @@ impl NumberFormat {
             }
             return if value.is_infinite() { Err(NoNumber::Text) } else { Ok(value) };
         }
+        self.marked(cell)
+    }
+
+    /// A number with a comma or marks of thousands.
+    fn marked(&mut self, cell: &str) -> Result<f64, NoNumber> {
         // The usual form, quickly.
         if self.decimal == Some(',')
             && let Some(value) = with_comma(cell)

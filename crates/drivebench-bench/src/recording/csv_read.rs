@@ -133,8 +133,8 @@ impl<R: BufRead> CsvRows<R> {
             read_head(reader, file, options.skip, |headers| wanted(options.map, headers))?;
         let mut warnings = Vec::new();
         let mut columns = match options.map {
-            Some(map) => columns_by_map(&head.headers, map, file)?,
-            None => columns_of_our_own(&head.headers, file, &mut warnings)?,
+            Some(map) => columns_by_map(&head, map, file)?,
+            None => columns_of_our_own(&head, file, &mut warnings)?,
         };
         let conversions = convert(&mut columns, &head);
         let mut numbers = NumberFormat::new();
@@ -335,10 +335,13 @@ impl<R: BufRead> CsvRows<R> {
         let mut empty = true;
         let mut problem = None;
         let Self { cells, columns, head, numbers, missing, clock, .. } = self;
+        let mut present = Line { cells, head, numbers, missing };
         for column in columns {
-            let mut line = Line { cells, head, numbers, missing };
-            let value =
-                if column.is_clock() { line.stamp(column, clock) } else { line.product(column) };
+            let value = if column.is_clock() {
+                present.stamp(column, clock)
+            } else {
+                present.product(column)
+            };
             let value = match value {
                 Ok(value) => value,
                 Err(found) => {
@@ -605,6 +608,7 @@ impl<R: Read> Line<'_, R> {
 }
 
 /// The time cells of the present line, joined by a blank.
+#[inline]
 fn stamp_text<'a, R: Read>(cells: &'a Cells<R>, column: &Column) -> Cow<'a, str> {
     let cell = |cell: &Cell| if cell.field < cells.count() { cells.get(cell.field) } else { "" };
     match &column.cells[..] {
@@ -619,6 +623,7 @@ fn cut(in_order: usize, line: usize) -> Remedy {
 }
 
 /// A value that is not absurd.
+#[inline]
 fn sized(value: f64, column: &str) -> Result<f64, RowProblem> {
     if value.abs() > LARGEST {
         return Err(RowProblem::TooLarge { column: column.to_owned(), value });

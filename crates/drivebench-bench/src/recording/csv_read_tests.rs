@@ -613,7 +613,9 @@ const REFUSALS: &[[&str; 5]] = &[
         "time_s=t*86400",
         "--map time_s=t*86400,current_a=i",
     ],
-    ["no header", "0,1/1,2/", "no column \"t\"", "sed '1i c1,c2'", "t,i/0,1/1,2/"],
+    ["no header", "0,1/1,2/", "no header row", "sed '1i c1,c2'", "t,i/0,1/1,2/"],
+    ["none, tabs", "0\t1/1\t2/", "no header row", "sed '1i c1\\tc2'", "t\ti/0\t1/1\t2/"],
+    ["none, commas", "# a/0;1,5/1;2/", "no header row", "sed '2i c1;c2'", "# a/t;i/0;1,5/1;2/"],
     ["a header twice", "t,i,i/0,1,2/", "2 columns are called \"i\"", "rename one", "t,i,j/0,1,2/"],
     [
         "a wrong name",

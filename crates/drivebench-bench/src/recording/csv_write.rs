@@ -67,7 +67,8 @@ impl Row {
     /// A limit of the drive changed the output.
     pub fn is_limited(&self) -> bool {
         let mut remarks = self.quality.split(' ').filter_map(|remark| remark.split_once(':'));
-        remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
+        !self.quality.is_empty()
+            && remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
     }
 }
 

@@ -167,6 +167,8 @@ pub enum RecordingError {
     Utf16 { file: String, encoding: &'static str },
     #[error("{file}: this is {form}, and no text table")]
     NotText { file: String, form: &'static str },
+    #[error("{file}: there is no header row: numbers stand in line {line}")]
+    NoHeader { file: String, line: u64, names: String },
     #[error("{file}: no line is left behind the {skip} that --skip leaves out")]
     SkippedAll { file: String, skip: usize },
     #[error(
@@ -215,6 +217,9 @@ impl RecordingError {
                 format!("iconv -f {encoding} -t UTF-8 FILE > utf8.csv converts it")
             }
             Self::NotText { .. } => "export or unpack it as a text table (CSV)".into(),
+            Self::NoHeader { line, names, .. } => {
+                format!("write names before it, as sed '{line}i {names}' FILE > named.csv does")
+            }
             Self::SkippedAll { .. } => "--skip counts the lines before the header row".into(),
             Self::TimeUnit { column, unit, .. } => {
                 format!("convert it with --map time_s={column}*{}", unit.factor)

@@ -61,6 +61,7 @@ pub fn read_preview(
     known: impl Fn(&[String]) -> usize,
 ) -> Result<Preview, RecordingError> {
     let (mut head, mut cells) = read_head(reader, file, options.skip, known)?;
+    head.refuse_numbers(file)?;
     head.headers.truncate(MOST_COLUMNS);
     let most_rows = (MOST_CELLS / head.headers.len().max(1)).min(MOST_ROWS);
     let mut numbers = NumberFormat::new();
