@@ -312,7 +312,9 @@ struct ReadResult {
 #[derive(Serialize)]
 struct ReadOutcome {
     address: u16,
-    table: &'static str,
+    /// `input`; absent for holding registers.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    table: Option<&'static str>,
     /// The address as it was given, where it is no protocol address.
     #[serde(skip_serializing_if = "Option::is_none")]
     notation: Option<String>,
@@ -365,10 +367,7 @@ impl ReadResult {
         let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
         let reads = batch.reads.iter().map(|read| ReadOutcome {
             address: read.request.address,
-            table: match read.request.table {
-                RegisterTable::Holding => "holding",
-                RegisterTable::Input => "input",
-            },
+            table: (read.request.table == RegisterTable::Input).then_some("input"),
             notation: None,
             format: None,
             decoded: None,
