@@ -16,10 +16,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
+use firmware_protocol::modbus::response_len;
 use serde::Serialize;
 
 use super::link_error::LinkError;
-use super::reply::{Code, Expected, FrameKind, Search, begins_with_rtu, search};
+use super::reply::{Code, Expected, FrameKind, Search, begins_with_rtu, rtu_frame_len, search};
 use super::unexpected::Unexpected;
 
 /// Request to stop: one of its flags was raised since the last [`StopRequest::lower`].
@@ -197,6 +198,8 @@ pub(super) struct Reception {
     /// The reply before, while nothing has gone out since: a copy of it answers nothing.
     last_reply: Vec<u8>,
     beside: Beside,
+    /// One byte came behind the last reply.
+    has_one_behind: bool,
     /// A reply came twice since the last look.
     repeated: bool,
     /// What was wrong since the last look.
@@ -219,6 +222,7 @@ impl Reception {
             line: LineCounts::default(),
             last_reply: Vec::new(),
             beside: Beside::default(),
+            has_one_behind: false,
             repeated: false,
             anomaly: false,
             old_replies: Vec::new(),
@@ -388,6 +392,12 @@ impl Reception {
             io::Error::new(ErrorKind::ConnectionAborted, "the peer does not use Modbus TCP")
         })?;
         if let Some((begin, end)) = found.reply {
+            let has_one_behind = begin == 0 && self.received.len() == end + 1;
+            let is_new = has_one_behind && !self.has_one_behind && self.kind == FrameKind::Rtu;
+            if is_new && may_have_inserted_byte(&self.received) {
+                return Ok(false);
+            }
+            self.has_one_behind = has_one_behind;
             let echo = usize::from(found.echo) * self.expected.request.len();
             // A reply that cannot be a copy of its request shows whether the line returns requests.
             let copies = matches!(self.expected.request.get(1), Some(5 | 6 | 8));
@@ -492,6 +502,19 @@ impl Reception {
     pub(super) fn is_rtu_over_tcp(&self) -> bool {
         self.kind == FrameKind::Tcp && begins_with_rtu(&self.received)
     }
+}
+
+/// Whether a reply with one byte behind it is as well a frame into which one byte was inserted: a check sum of 16 bits fits one
+/// of 65,536 such frames by chance (one of ten million replies of the trials with faults).
+fn may_have_inserted_byte(received: &[u8]) -> bool {
+    let (reply, rest) = (&received[..received.len() - 1], &received[1..]);
+    let mut without = rest.to_vec();
+    (0..reply.len()).any(|at| {
+        let is_whole = rtu_frame_len(&without, response_len) == Some(without.len());
+        let is_another = is_whole && without != reply;
+        without[at] = received[at];
+        is_another
+    })
 }
 
 pub(super) fn never_silent(link: &str) -> LinkError {
@@ -619,6 +642,33 @@ mod tests {
             assert_eq!(reception.accept().unwrap(), is_reply, "{request:?}");
             reception.leftover();
             reception.retire();
+        }
+    }
+
+    /// The check sum of the first 37 of these 38 bytes fits by chance; without the byte `d0` that of all others does.
+    #[test]
+    fn a_byte_inserted_into_a_reply_is_found_where_the_check_sum_fits_by_chance() {
+        let now = now();
+        let request = crate::scripted::frame(1, &[23, 0, 0, 0, 16, 0, 32, 0, 1, 2, 0, 7]);
+        let received = [
+            0x01, 0x17, 0x20, 0x01, 0x82, 0x00, 0x00, 0x3C, 0xB1, 0xF6, 0x73, 0xF6, 0xF8, 0xF6,
+            0x73, 0xD0, 0xF6, 0xF8, 0x00, 0x63, 0x00, 0x5B, 0x00, 0x04, 0x00, 0x00, 0x00, 0x00,
+            0x04, 0xAF, 0x80, 0x00, 0x00, 0x64, 0x00, 0x01, 0x6C, 0xAE,
+        ];
+        let without: Vec<u8> = [&received[..15], &received[16..]].concat();
+        for (name, bytes, is_reply) in [
+            ("inserted", received.to_vec(), false),
+            ("whole", without.clone(), true),
+            ("its last byte again", [&without[..], &[0xAE]].concat(), true),
+            ("a zero behind", [&without[..], &[0]].concat(), true),
+        ] {
+            let mut reception = Reception::new(FrameKind::Rtu, now);
+            reception.expected.request.clone_from(&request);
+            reception.push(&bytes, now);
+            assert_eq!(reception.accept().unwrap(), is_reply, "{name}");
+            if !is_reply {
+                assert_eq!(reception.leftover(), Leftover::Damaged(38));
+            }
         }
     }
 
