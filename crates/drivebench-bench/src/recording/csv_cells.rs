@@ -6,10 +6,19 @@
 use std::io::{self, Chain, Cursor, Read, Seek, SeekFrom};
 
 use super::RecordingError;
-use super::csv_head::Head;
 
 /// Longest row, bytes.
 pub(super) const LONGEST_LINE: u64 = 1 << 20;
+
+/// How the lines of a table are written.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Lines {
+    pub separator: u8,
+    /// They end with carriage returns alone.
+    pub has_carriage_returns: bool,
+    /// Lines of the file before the first of them.
+    pub before: u64,
+}
 
 /// The lines behind the head, each split into its cells.
 pub(super) struct Cells<R> {
@@ -81,25 +90,25 @@ impl From<csv::Error> for LineError {
 
 impl<R: Read> Cells<R> {
     /// Lines of `ahead`, which was read before, then of `inner`.
-    pub(super) fn new(ahead: Vec<u8>, inner: R, head: &Head) -> Self {
+    pub(super) fn new(ahead: Vec<u8>, inner: R, lines: Lines) -> Self {
         let reader = csv::ReaderBuilder::new()
             .has_headers(false)
             .flexible(true)
             .quoting(false)
-            .delimiter(head.separator)
+            .delimiter(lines.separator)
             .terminator(csv::Terminator::Any(b'\n'))
             .buffer_capacity(1 << 16)
             .from_reader(Bounded {
                 inner: Cursor::new(ahead).chain(inner),
-                has_carriage_returns: head.has_carriage_returns,
+                has_carriage_returns: lines.has_carriage_returns,
                 length: 0,
                 is_over: false,
             });
         Self {
             reader,
-            separator: head.separator,
+            separator: lines.separator,
             record: csv::StringRecord::new(),
-            lines_before: head.data_line,
+            lines_before: lines.before,
         }
     }
 

@@ -9,7 +9,9 @@
 use std::io::{self, Read};
 
 use super::RecordingError;
-use super::csv_cells::{Cells, LONGEST_LINE, LineError, at_line, feed_for_return, quoted_cells};
+use super::csv_cells::{
+    Cells, LONGEST_LINE, LineError, Lines, at_line, feed_for_return, quoted_cells,
+};
 use drivebench_identify::sanity::is_unit;
 
 /// The head of a table.
@@ -44,6 +46,12 @@ const NO_TEXT: [(&[u8], &str); 5] = [
 ];
 
 impl Head {
+    /// The lines behind it.
+    pub(super) const fn lines(&self) -> Lines {
+        let Self { separator, has_carriage_returns, data_line: before, .. } = *self;
+        Lines { separator, has_carriage_returns, before }
+    }
+
     /// Numbers are no names: the header row is missing.
     pub(super) fn refuse_numbers(&self, file: &str) -> Result<(), RecordingError> {
         let are_numbers = self.headers.iter().any(|name| is_datum(name))
@@ -117,7 +125,7 @@ pub(super) fn read_head<R: Read>(
     head.data_line = data as u64;
     let length: usize = lines[..data].iter().map(|line| line.len()).sum();
     let rest = ahead.split_off(length);
-    let cells = Cells::new(rest, reader, &head);
+    let cells = Cells::new(rest, reader, head.lines());
     Ok((head, cells))
 }
 

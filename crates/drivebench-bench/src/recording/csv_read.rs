@@ -659,7 +659,7 @@ fn learn<R: BufRead>(
     else {
         return;
     };
-    let mut rows = Cells::new(ahead[..=end].to_vec(), io::empty(), head);
+    let mut rows = Cells::new(ahead[..=end].to_vec(), io::empty(), head.lines());
     while let Ok(true) = rows.next_line() {
         if rows.get(0).starts_with('#') {
             continue;
