@@ -522,7 +522,11 @@ struct Line<'a, R> {
 
 impl<R: Read> Line<'_, R> {
     /// A cell as a number, NaN where it is missing.
+    #[inline]
     fn number(&mut self, text: &str) -> Result<f64, NoNumber> {
+        if self.missing.is_empty() {
+            return self.numbers.number(text);
+        }
         if self.missing.has_text(text) {
             return Ok(f64::NAN);
         }
@@ -549,7 +553,11 @@ impl<R: Read> Line<'_, R> {
                 }
             };
         }
-        sized(value + column.offset, &head.headers[column.cells[0].field])
+        let value = value + column.offset;
+        if value.abs() > LARGEST {
+            return Err(too_large(value, &head.headers[column.cells[0].field]));
+        }
+        Ok(value)
     }
 
     /// The time of the present line, from a number or a text.
@@ -582,7 +590,8 @@ impl<R: Read> Line<'_, R> {
                     }
                     _ => value,
                 };
-                sized(value * column.factor + column.offset, name)
+                let value = value * column.factor + column.offset;
+                if value.abs() > LARGEST { Err(too_large(value, name)) } else { Ok(value) }
             }
             Err(form) => {
                 let mut texts = TextClock::default();
@@ -622,13 +631,9 @@ fn cut(in_order: usize, line: usize) -> Remedy {
     if in_order < 16 { Remedy::Column } else { Remedy::Cut { line: line - 1 } }
 }
 
-/// A value that is not absurd.
-#[inline]
-fn sized(value: f64, column: &str) -> Result<f64, RowProblem> {
-    if value.abs() > LARGEST {
-        return Err(RowProblem::TooLarge { column: column.to_owned(), value });
-    }
-    Ok(value)
+#[cold]
+fn too_large(value: f64, column: &str) -> RowProblem {
+    RowProblem::TooLarge { column: column.to_owned(), value }
 }
 
 /// Counters that the stamps may be.

@@ -45,13 +45,15 @@ impl Display for MissingValues {
 }
 
 impl MissingValues {
+    pub(super) fn is_empty(&self) -> bool {
+        self.texts.is_empty()
+    }
+
     /// In letters of either case.
-    #[inline]
     pub(super) fn has_text(&self, cell: &str) -> bool {
         self.texts.iter().any(|text| text.eq_ignore_ascii_case(cell))
     }
 
-    #[inline]
     pub(super) fn has_number(&self, value: f64) -> bool {
         self.numbers.iter().any(|number| (number - value).abs() <= 0.0)
     }
