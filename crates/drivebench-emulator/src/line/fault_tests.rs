@@ -368,7 +368,10 @@ fn every_fault_is_counted_in_its_class_and_costs_one_exchange() {
 fn mixed_faults_never_give_a_wrong_value() {
     let count = if everything() { 10_000_000 } else { 100_000 };
     for protocol in Protocol::ALL {
-        let outcome = on_a_line(protocol, &mixed(&kinds_on(protocol)), count, 7);
+        let mut kinds = kinds_on(protocol);
+        // No stream of TCP has another frame between the parts of one, as a late reply beside a split one would be here.
+        kinds.retain(|kind| protocol != Protocol::ModbusTcp || *kind != FaultKind::SplitReply);
+        let outcome = on_a_line(protocol, &mixed(&kinds), count, 7);
         println!("{protocol:?}: {outcome:?}");
         assert_eq!(outcome.wrong, 0, "{outcome:?}");
         let share = outcome.tampered as f64 / count as f64;
