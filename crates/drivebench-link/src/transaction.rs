@@ -122,7 +122,7 @@ pub struct LineCounts {
     pub echoes: bool,
 }
 
-/// Stray bytes beside a reply that are no loss of synchronisation: fewer than any frame has.
+/// Stray bytes around a reply that are no loss of synchronisation: fewer than any frame has.
 const MOST_STRAYS: usize = 4;
 
 /// Content of the line at the deadline.
@@ -172,9 +172,9 @@ pub(super) struct OldReply {
     pub(super) behind: bool,
 }
 
-/// What came beside the reply to the last request without a loss of synchronisation.
+/// What came with the reply to the last request without a loss of synchronisation.
 #[derive(Clone, Copy, Debug, Default)]
-struct Beside {
+struct Extra {
     /// Stray bytes behind it.
     behind: usize,
     /// It had some, before or behind.
@@ -197,7 +197,7 @@ pub(super) struct Reception {
     pub(super) line: LineCounts,
     /// The reply before, while nothing has gone out since: a copy of it answers nothing.
     last_reply: Vec<u8>,
-    beside: Beside,
+    extra: Extra,
     /// One byte came behind the last reply.
     has_one_behind: bool,
     /// A reply came twice since the last look.
@@ -221,7 +221,7 @@ impl Reception {
             last_activity: now,
             line: LineCounts::default(),
             last_reply: Vec::new(),
-            beside: Beside::default(),
+            extra: Extra::default(),
             has_one_behind: false,
             repeated: false,
             anomaly: false,
@@ -233,7 +233,7 @@ impl Reception {
     pub(super) fn sent(&mut self, count: usize, at: Instant) {
         self.line.bytes_sent += count as u64;
         if self.asked.is_none() {
-            self.beside = Beside::default();
+            self.extra = Extra::default();
         }
         self.asked.get_or_insert(at);
         self.last_activity = at;
@@ -274,7 +274,7 @@ impl Reception {
     pub(super) fn drop_rest(&mut self) -> usize {
         let received = std::mem::take(&mut self.received);
         let last = std::mem::take(&mut self.last_reply);
-        let is_harmless = self.is_beside(&last, &received);
+        let is_harmless = self.is_harmless_after(&last, &received);
         (self.received, self.last_reply) = (received, last);
         if !is_harmless {
             return self.drop_received(true);
@@ -294,30 +294,30 @@ impl Reception {
 
     /// Whether bytes behind a reply are no loss of synchronisation, and counts them then: one copy of it, whose contents are those of
     /// the reply whichever of both is the older; or a few bytes none of which can begin another reply of the unit.
-    fn is_beside(&mut self, reply: &[u8], behind: &[u8]) -> bool {
+    fn is_harmless_after(&mut self, reply: &[u8], behind: &[u8]) -> bool {
         let Some(unit) = reply.first().filter(|_| self.kind == FrameKind::Rtu) else {
             return false;
         };
-        let is_copy = !self.beside.is_repeated && !self.expected.may_be_late(reply);
+        let is_copy = !self.extra.is_repeated && !self.expected.may_be_late(reply);
         let rest = behind.strip_prefix(reply).filter(|_| is_copy);
         let strays = rest.unwrap_or(behind);
-        if self.beside.behind + strays.len() > MOST_STRAYS || strays.contains(unit) {
+        if self.extra.behind + strays.len() > MOST_STRAYS || strays.contains(unit) {
             return false;
         }
         if rest.is_some() {
-            (self.beside.is_repeated, self.repeated) = (true, true);
+            (self.extra.is_repeated, self.repeated) = (true, true);
             // A reply that is a copy of its request may have been the echo: from now on one copy alone is no reply.
             self.expected.echoes |=
                 !self.expected.is_echo_free && matches!(reply.get(1), Some(5 | 6 | 8));
             self.line.stale_frames += 1;
         }
-        self.beside.behind += strays.len();
-        self.has_strays_beside(strays.len());
+        self.extra.behind += strays.len();
+        self.count_strays(strays.len());
         true
     }
 
-    fn has_strays_beside(&mut self, count: usize) {
-        if count > 0 && !std::mem::replace(&mut self.beside.has_strays, true) {
+    fn count_strays(&mut self, count: usize) {
+        if count > 0 && !std::mem::replace(&mut self.extra.has_strays, true) {
             self.line.stray_replies += 1;
         }
     }
@@ -420,12 +420,12 @@ impl Reception {
             self.received.clear();
             self.pieces.clear();
             if self.kind == FrameKind::Rtu && is_alone && before <= MOST_STRAYS {
-                self.has_strays_beside(before);
+                self.count_strays(before);
                 self.line.bytes_dropped += before as u64;
             } else {
                 self.drop_bytes(before);
             }
-            self.beside_reply(behind);
+            self.drop_behind_reply(behind);
             return Ok(true);
         }
         if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
@@ -441,12 +441,12 @@ impl Reception {
     }
 
     /// What came together with the reply, behind it.
-    fn beside_reply(&mut self, behind: Vec<u8>) {
+    fn drop_behind_reply(&mut self, behind: Vec<u8>) {
         if behind.is_empty() {
             return;
         }
         let reply = std::mem::take(&mut self.reply);
-        let is_harmless = self.is_beside(&reply, &behind);
+        let is_harmless = self.is_harmless_after(&reply, &behind);
         let is_part = self.kind == FrameKind::Rtu && reply.starts_with(&behind);
         self.reply = reply;
         if is_harmless {
@@ -691,10 +691,10 @@ mod tests {
         }
     }
 
-    /// Beside a whole reply: what is dropped as harmless, and what may belong to another reply. Behind it, it comes with the reply, in
+    /// Around a whole reply: what is dropped as harmless, and what may belong to another reply. Behind it, it comes with the reply, in
     /// two parts, or later.
     #[test]
-    fn a_few_stray_bytes_and_a_copy_beside_a_reply_are_harmless() {
+    fn a_few_stray_bytes_and_a_copy_around_a_reply_are_harmless() {
         let frame = crate::scripted::frame;
         let request = frame(1, &[3, 0, 10, 0, 2]);
         let reply = frame(1, &[3, 4, 0, 10, 0, 11]);

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use super::column_map::split_unquoted;
 
-/// Cells that are read as missing, beside empty ones and NaN.
+/// Cells that are read as missing, as empty ones and NaN are.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MissingValues {
     texts: Vec<String>,

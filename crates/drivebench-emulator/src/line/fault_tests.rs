@@ -369,7 +369,7 @@ fn mixed_faults_never_give_a_wrong_value() {
     let count = if everything() { 10_000_000 } else { 100_000 };
     for protocol in Protocol::ALL {
         let mut kinds = kinds_on(protocol);
-        // No stream of TCP has another frame between the parts of one, as a late reply beside a split one would be here.
+        // No stream of TCP has another frame between the parts of one, as a late reply among the parts of a split one would be.
         kinds.retain(|kind| protocol != Protocol::ModbusTcp || *kind != FaultKind::SplitReply);
         let outcome = on_a_line(protocol, &mixed(&kinds), count, 7);
         println!("{protocol:?}: {outcome:?}");
@@ -466,7 +466,7 @@ fn mixed_faults_never_give_a_wrong_value_on_a_profiled_bus() {
     }
 }
 
-/// Stray bytes around every reply, and every reply twice: no loss of synchronisation, and no wrong value beside other faults.
+/// Stray bytes around every reply, and every reply twice: no loss of synchronisation, and no wrong value among other faults.
 #[test]
 fn bytes_around_whole_replies_cost_nothing_and_hide_no_fault() {
     let count = if everything() { 2_000_000 } else { 100_000 };
