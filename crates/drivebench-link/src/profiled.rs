@@ -21,8 +21,8 @@ mod state;
 
 use std::sync::Arc;
 
-use self::points::Points;
-use self::readings::{Clock, Readings};
+use self::points::{PATIENCE_S, Points, is_accepted};
+use self::readings::{Clock, Joined, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
 use super::command_times::CommandTimes;
@@ -179,7 +179,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 let points = &mut self.points;
                 let put = points.put(&mut far_end!(self), name, *value);
                 self.is_unsent = !was_sent(&put);
-                let is_taken = put.is_ok() && points.mismatches() == 0;
+                let is_taken =
+                    put.is_ok() && points.mismatches() == 0 && points.acting(0.0).is_none();
                 put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
                 held_back(&mut refused, put)?;
             }
@@ -195,7 +196,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
         let (span, both) = match self.readings.read_fast(&mut self.bus, joined.as_ref()) {
             Err(error @ LinkError::Exception { .. }) if joined.is_some() => {
                 (self.is_unsent, put_s) = (false, None);
-                held_back(&mut refused, Err(error))?;
+                let written = Err(error);
+                match joined.as_ref().filter(|_| is_accepted(&written)) {
+                    Some(Joined { at, registers }) => {
+                        self.points.accepted(&mut self.bus, *at, registers)?;
+                    }
+                    None => held_back(&mut refused, written)?,
+                }
                 self.readings.read_fast(&mut self.bus, None)?
             }
             read => {
@@ -420,13 +427,16 @@ impl<B: RegisterBus> ProfiledLink<B> {
             match &written {
                 Ok(()) if matches!(next, Next::Write(_)) => {
                     self.kicked_s = now_s;
-                    sequence.go_on(now_s);
+                    match self.points.acting(now_s) {
+                        None => sequence.go_on(now_s),
+                        Some((acting_s, text)) if acting_s > PATIENCE_S => given_up = Some(text),
+                        Some(_) => return Ok(Some((Next::Wait, sequence, None))),
+                    }
                 }
                 Err(error @ LinkError::Exception { .. }) => {
                     let since_s = sequence.refused(now_s, error.to_string());
-                    // A drive that refuses a step of its enable command for so long, because it is busy, will not take it, s: less than what a
-                    // session waits beyond the steps, so that the refusal is reported.
-                    given_up = (since_s > 0.5).then(|| error.to_string());
+                    // A drive that refuses a step of its enable command for so long, because it is busy, will not take it.
+                    given_up = (since_s > PATIENCE_S).then(|| error.to_string());
                 }
                 _ => {}
             }

@@ -21,12 +21,27 @@ impl ForeignDrive {
             4 => RegisterTable::Input,
             _ => RegisterTable::Holding,
         };
+        if let Some(late_s) = self.accepts_for_s.filter(|_| writes && function != 23) {
+            self.accepted.push_back((self.soft.time_s() + late_s, request.to_vec()));
+            self.kick(KickedBy::Write);
+            // Acknowledge.
+            return vec![function | 0x80, 5];
+        }
         let response = respond(&mut Bank { drive: self, table }, request);
         if response[0] == function {
             let by = if writes { KickedBy::Write } else { KickedBy::Any };
             self.kick(by);
         }
         response.to_vec()
+    }
+
+    /// Carries out the accepted writes whose time has come.
+    pub(super) fn carry_out_accepted(&mut self) {
+        let now_s = self.soft.time_s();
+        while self.accepted.front().is_some_and(|(due_s, _)| *due_s <= now_s) {
+            let (_, request) = self.accepted.pop_front().unwrap_or_default();
+            respond(&mut Bank { drive: self, table: RegisterTable::Holding }, &request);
+        }
     }
 
     fn is_writable(&self, address: u16) -> bool {

@@ -15,7 +15,7 @@ mod enable_sequence;
 mod identity;
 mod registers;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use firmware_protocol::{Control, DriveCommand, Fault, State};
@@ -89,6 +89,9 @@ pub struct ForeignDrive {
     /// Every request is refused with this exception, and every write.
     refusing: Option<u8>,
     refusing_writes: Option<u8>,
+    /// For how long a write is only accepted (exception 05) before it is carried out, s; those that are due, and when.
+    accepts_for_s: Option<f64>,
+    accepted: VecDeque<(f64, Vec<u8>)>,
     switched_on_s: f64,
     as_set_s: f64,
     seq: u16,
@@ -132,6 +135,8 @@ impl ForeignDrive {
             hindrance: None,
             refusing: None,
             refusing_writes: None,
+            accepts_for_s: None,
+            accepted: VecDeque::new(),
             switched_on_s: 0.0,
             seq: 0,
             faults: (false, false),
@@ -198,6 +203,11 @@ impl ForeignDrive {
         self.refusing_writes = code;
     }
 
+    /// Accepts every write with exception 05 (acknowledge) and carries it out so much later, s; `None`: at once.
+    pub const fn accept_writes_for(&mut self, late_s: Option<f64>) {
+        self.accepts_for_s = late_s;
+    }
+
     /// A second master writes a set-point, raw, which the host does not receive.
     pub fn overwrite(&mut self, set_point: &str, raw: u16) {
         if let Some(point) = self.map.set_point(set_point) {
@@ -237,6 +247,7 @@ impl ForeignDrive {
     pub fn advance_to(&mut self, time_s: f64) {
         while self.soft.time_s() + 1e-9 < time_s {
             let next_s = ((self.soft.time_s() / STEP_S + 1e-6).floor() + 1.0) * STEP_S;
+            self.carry_out_accepted();
             self.supervise();
             self.drive_motor();
             self.soft.advance_to(next_s.min(time_s));

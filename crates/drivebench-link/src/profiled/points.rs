@@ -8,6 +8,10 @@ use crate::link::{LinkError, Result};
 use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{Quantity, RegisterMap, SetPoint, Write};
 
+/// How long a drive may refuse or carry out a step of a command before the command is given up, s: less than what a session
+/// waits beyond the steps, so that the reason is reported.
+pub(super) const PATIENCE_S: f64 = 0.5;
+
 /// The registers of the drive and their last readings.
 pub(super) struct FarEnd<'a> {
     pub(super) bus: &'a mut dyn RegisterBus,
@@ -25,6 +29,8 @@ struct Sent {
     at_s: f64,
     /// Time of the last demand; `None` while no value is held.
     asked_s: Option<f64>,
+    /// Since when the drive has accepted writes without an end of them (exception 05), s.
+    accepted_s: Option<f64>,
     writes: u32,
     /// Times in a row that it read back otherwise, and as what; what the drive had confirmed before that.
     mismatches: u32,
@@ -106,8 +112,21 @@ impl Points {
         for sent in &mut self.sent {
             sent.value = None;
             sent.asked_s = None;
+            sent.accepted_s = None;
             sent.mismatches = 0;
         }
+    }
+
+    /// For how long the drive has been carrying out a write that it only accepted, s, and what is to be written.
+    pub(super) fn acting(&self, now_s: f64) -> Option<(f64, String)> {
+        let sent = self.sent.iter().zip(&self.map.set_points);
+        let acting = sent.filter_map(|(sent, point)| Some((now_s - sent.accepted_s?, point, sent)));
+        let (acting_s, point, sent) = acting.max_by(|one, other| one.0.total_cmp(&other.0))?;
+        let text = format!(
+            "the drive accepted setpoint {} = {:04x?} (exception 05) and has not carried it out for {acting_s:.2} s",
+            point.name, sent.registers
+        );
+        Some((acting_s, text))
     }
 
     /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
@@ -253,6 +272,10 @@ impl Points {
         point: &SetPoint,
         registers: &[u16],
     ) -> Result<()> {
+        let sent = &self.sent[at];
+        if sent.accepted_s.is_some() && sent.registers == registers {
+            return self.confirm(bus, at, point);
+        }
         if self.joint != Joint::May || !may_join(&self.map, point) {
             return self.send(bus, at, point, registers);
         }
@@ -332,7 +355,48 @@ impl Points {
         sent.at_s = now_s;
         sent.registers = registers;
         sent.in_doubt = false;
+        sent.accepted_s = None;
         self.kicked_s = now_s;
+    }
+
+    /// The drive has accepted a write (exception 05), and may still be carrying it out: a register that reads back shows the end,
+    /// any other counts as written.
+    pub(super) fn accepted(
+        &mut self,
+        bus: &mut dyn RegisterBus,
+        at: usize,
+        registers: &[u16],
+    ) -> Result<()> {
+        let map = Arc::clone(&self.map);
+        let since_s = self.sent[at].accepted_s.unwrap_or(bus.now_s());
+        self.acknowledged(at, registers.to_vec(), bus.now_s());
+        let point = &map.set_points[at];
+        if !point.keys.readback {
+            return Ok(());
+        }
+        self.sent[at].accepted_s = Some(since_s);
+        self.confirm(bus, at, point)
+    }
+
+    /// Whether an accepted write is carried out by now. After [`PATIENCE_S`] another value is a mismatch.
+    fn confirm(&mut self, bus: &mut dyn RegisterBus, at: usize, point: &SetPoint) -> Result<()> {
+        // Without a read-back that comes, the value that is held has not been noted either.
+        self.sent[at].in_doubt = true;
+        let found = self.read_back(bus, at, point)?;
+        let now_s = bus.now_s();
+        let sent = &mut self.sent[at];
+        if found == sent.registers {
+            sent.in_doubt = false;
+            sent.accepted_s = None;
+            sent.mismatches = 0;
+            sent.confirmed = found;
+            return Ok(());
+        }
+        if sent.accepted_s.is_none_or(|since_s| now_s - since_s > PATIENCE_S) {
+            sent.mismatches += 1;
+            sent.found = found;
+        }
+        Ok(())
     }
 
     fn send(
@@ -355,24 +419,18 @@ impl Points {
             bus.write(function, address, registers)
         };
         self.has_written |= super::was_sent(&written);
+        // A stop repeats what has no end instead.
+        if is_accepted(&written) && !self.is_urgent {
+            return self.accepted(bus, at, registers);
+        }
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         self.carried = Some(carried);
         self.acknowledged(at, registers.to_vec(), bus.now_s());
         // What brings the drive to rest is followed by a look at its state instead.
         if point.keys.readback && !self.is_urgent {
-            // Without a read-back that comes, the value that is held has not been noted either.
-            self.sent[at].in_doubt = true;
-            let found = self.read_back(bus, at, point)?;
-            let sent = &mut self.sent[at];
-            sent.in_doubt = false;
-            if found == registers {
-                sent.mismatches = 0;
-                sent.confirmed = found;
-            } else {
-                sent.mismatches += 1;
-                sent.found = found;
-            }
+            self.confirm(bus, at, point)?;
+            self.sent[at].in_doubt = false;
         }
         Ok(())
     }
@@ -429,7 +487,9 @@ impl Points {
         let worst =
             self.sent.iter().zip(&self.map.set_points).max_by_key(|(sent, _)| sent.mismatches);
         worst.map_or_else(String::new, |(sent, point)| {
-            let why = if sent.found == sent.confirmed {
+            let why = if sent.accepted_s.is_some() {
+                "the drive only accepted it (exception 05) and does not carry it out"
+            } else if sent.found == sent.confirmed {
                 "the drive keeps the value that it had before, so it ignores what is written from here"
             } else {
                 "the drive keeps another value, which was never written from here: a limit of its own, the profile's word order \
@@ -466,6 +526,11 @@ impl Points {
 fn find<'a>(map: &'a RegisterMap, name: &str) -> Option<(usize, &'a SetPoint)> {
     let mut points = map.set_points.iter().enumerate();
     points.find(|(_, point)| point.name == name)
+}
+
+/// Whether a write was accepted and has not ended (exception 05, acknowledge).
+pub(super) const fn is_accepted<T>(written: &Result<T>) -> bool {
+    matches!(written, Err(LinkError::Exception { code: 5, .. }))
 }
 
 fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {

@@ -208,6 +208,11 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 return Ok(WriteEnd::Settled);
             }
             Err(error @ LinkError::Gone { .. }) => return Err(error),
+            // Its state shows whether it carries out what it accepts; while it runs, the stop begins again.
+            Err(LinkError::Exception { code: 5, .. }) if self.confirms_stop() => {
+                self.kicked_s = now_s;
+                return Ok(WriteEnd::Settled);
+            }
             Err(error) => error,
         };
         let later = error.is_transient()

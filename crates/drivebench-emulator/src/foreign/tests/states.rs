@@ -336,3 +336,48 @@ fn a_set_point_of_another_master_is_named() {
     assert!(!text.contains("ignores"), "{text}");
     assert_eq!(table.written("enable_word"), Some(0));
 }
+
+const READBACK: (&str, &str) = ("refresh_ms = 100.0", "readback = true");
+
+/// Exception 05 (acknowledge) is no refusal: the cycle keeps its sample, and the value counts as held once it reads back.
+#[test]
+fn an_accepted_write_is_waited_for_and_costs_no_cycle() {
+    for changes in [&[READBACK][..], &[]] {
+        let mut table = Table::identified("epulse50-dc", changes);
+        table.far().accept_writes_for(Some(0.1));
+        table.drive(REFERENCE, 3.0);
+        let faster = speed_ref(500.0);
+        let applied = (0..40).map(|_| table.run(faster).unwrap().applied.is_some());
+        let applied: Vec<bool> = applied.collect();
+        assert!(applied[39], "{applied:?}");
+        // Only a register that reads back shows when it was carried out.
+        assert_eq!(!applied[0], !changes.is_empty(), "{applied:?}");
+        let held = table.written("speed_ref");
+        assert!(table.far().is_running());
+        table.demand(Demand::Stop).unwrap();
+        table.pass(0.2);
+        for _ in 0..20 {
+            table.rest();
+        }
+        assert_eq!(table.written("enable_word"), Some(0));
+        assert_ne!(table.written("speed_ref"), held);
+        assert!(!table.far().is_running());
+    }
+}
+
+#[test]
+fn an_accepted_write_that_is_not_carried_out_ends_the_run_with_that_reason() {
+    let mut table = Table::running("epulse50-dc", &[READBACK], REFERENCE, 3.0);
+    table.far().accept_writes_for(Some(1e6));
+    let began_s = table.now_s();
+    let text = table.first_error(speed_ref(500.0)).to_string();
+    assert!((0.5..1.0).contains(&(table.now_s() - began_s)), "{text}");
+    assert_contains(&text, "only accepted it (exception 05) and does not carry it out");
+    assert!(!text.contains("refused"), "{text}");
+    // An enable command is given up likewise, at its first write that reads back.
+    let mut table = Table::identified("abb-dcs-gateway", &[]);
+    table.far().accept_writes_for(Some(1e6));
+    let text = table.first_error(speed_ref(100.0)).to_string();
+    assert_contains(&text, "(exception 05) and has not carried it out for");
+    assert!(!table.far().is_running());
+}
