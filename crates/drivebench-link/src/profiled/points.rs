@@ -273,7 +273,8 @@ impl Points {
         registers: &[u16],
     ) -> Result<()> {
         let sent = &self.sent[at];
-        if sent.accepted_s.is_some() && sent.registers == registers {
+        // What brings the drive to rest is written again all the same.
+        if sent.accepted_s.is_some() && sent.registers == registers && !self.is_urgent {
             return self.confirm(bus, at, point);
         }
         if self.joint != Joint::May || !may_join(&self.map, point) {

@@ -381,3 +381,16 @@ fn an_accepted_write_that_is_not_carried_out_ends_the_run_with_that_reason() {
     assert_contains(&text, "(exception 05) and has not carried it out for");
     assert!(!table.far().is_running());
 }
+
+/// An accepted zero that has not been carried out is no zero: a stop writes it again.
+#[test]
+fn a_stop_writes_again_what_was_only_accepted() {
+    let mut table = Table::running("epulse50-dc", &[READBACK], REFERENCE, 3.0);
+    table.far().accept_writes_for(Some(1e6));
+    table.run(speed_ref(0.0)).unwrap();
+    assert_ne!(table.written("speed_ref"), Some(0));
+    table.far().accept_writes_for(None);
+    table.link.stop().unwrap();
+    assert_eq!(table.written("speed_ref"), Some(0));
+    assert!(!table.far().is_running());
+}
