@@ -307,7 +307,7 @@ pub(crate) fn infer(
     let rivals = confusable(&found);
     share_among_events(&mut effects, &rivals);
     let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
-    if let Some(pair) = at_limit(&found.hypothesis.model) {
+    if let Some(pair) = at_limit(&found.hypothesis.model, &runs[0]) {
         share_at_limit(pair, &mut effects, &mut confusable);
     }
     let probability = |id: &str| {

@@ -42,7 +42,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             // The prior of a shape's logarithm: a factor of two.
             0.7 * values[index]
         } else {
-            spec.scale
+            spec.in_run(&scenario.scales).scale
         };
         let (present, share) = if is_size { (values[index] / unit, 0.02) } else { (0.0, 0.01) };
         let step = share * unit;
@@ -84,7 +84,7 @@ fn not_in_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     for shape in grid {
         let mut limit = card.limit.iter();
         let periods = order.map_or(1.0, |order| shape[order]);
-        if limit.any(|limit| shape[limit.parameter] < limit.least)
+        if limit.any(|limit| shape[limit.parameter] < limit.least_in(effect, scenario))
             || (card.needs_angle && !resolves_wave(effect, scenario, periods))
         {
             continue;
@@ -114,20 +114,18 @@ fn not_in_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
 /// Every combination of the grids of an effect's shapes, choices and event times; its coefficients at zero.
 fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
     let specs = effect.parameters();
-    let length_s = training.sample_time_s[training.samples() - 1] - training.begin_s();
     let mut grid = vec![vec![0.0; specs.len()]];
     for (index, spec) in specs.iter().enumerate() {
         if spec.is_coefficient() {
             continue;
         }
-        let is_time = spec.role == ParameterRole::EventTime;
-        let unit = if is_time { length_s } else { 1.0 };
         let with = |values: &Vec<f64>, shape: f64| {
             let mut values = values.clone();
-            values[index] = shape * unit;
+            values[index] = shape;
             values
         };
-        let shapes = |values| spec.shapes.iter().map(move |shape| with(values, *shape));
+        let range = spec.in_run(&training.scales);
+        let shapes = |values| range.shapes().map(move |shape| with(values, shape));
         grid = grid.iter().flat_map(shapes).collect();
     }
     grid
@@ -304,7 +302,8 @@ fn assemble(
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);
     right += shift;
-    Linear { nuisances, candidates, gram, right, squares, columns, present }
+    let scales = runs[0].scenario.scales;
+    Linear { nuisances, candidates, gram, right, squares, columns, present, scales }
 }
 
 /// Candidates that exclude each other: alternatives of one family, and under a voltage an unknown curve and an effect over the

@@ -152,7 +152,7 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
 fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     let most_a = largest(scenario.current_a.iter().copied());
     let voltage_at = |current_a: f64| {
-        let at = Instant { current_a, ..Instant::default() };
+        let at = Instant { current_a, ..Instant::default().in_run(scenario) };
         terms.voltage_v(&at, &[]).abs()
     };
     ([SMALL_SHARE * most_a, most_a].map(voltage_at), SMALL_SHARE * most_a)
@@ -246,9 +246,9 @@ pub(super) fn bends(
         }
         if is_before_the_chopper(&*terms, &constants(model, scenario)) {
             // The capacitor of the intermediate circuit with the resistance of what feeds it.
-            bends.extend([1e-3, 4e-3].map(|time_constant_s| Tangent::Lagging {
+            bends.extend([0.025, 0.1].map(|responses| Tangent::Lagging {
                 terms: effect.terms(values),
-                time_constant_s,
+                time_constant_s: scenario.scales.responses(responses),
             }));
         }
         // Where a torque drives, errors of friction and of the torque are process noise already.

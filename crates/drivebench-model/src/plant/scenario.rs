@@ -7,6 +7,7 @@ use std::ops::Range;
 use thiserror::Error;
 
 use super::limited::{LimitReached, applied};
+use super::run_scales::RunScales;
 use super::shaft_angle::continuous;
 use super::unknown_input::{self, Rows, UnknownInput};
 use crate::numerics::count::whole;
@@ -81,6 +82,8 @@ pub struct Scenario {
     pub limits: Vec<LimitReached>,
     /// The samples of which residuals are computed: all, or the last part where a run was split for validation.
     pub scored: Range<usize>,
+    /// Those of the reference where nothing was measured; a part of a run has those of the whole.
+    pub scales: RunScales,
 }
 
 /// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
@@ -116,6 +119,7 @@ impl Scenario {
             time_half_width_s: Vec::new(),
             unknown_input: Vec::new(),
             limits: Vec::new(),
+            scales: RunScales::REFERENCE,
         }
     }
 
@@ -170,6 +174,7 @@ impl Scenario {
         if input == Input::Voltage {
             scenario.bridge_lost_rows();
         }
+        scenario.scales = RunScales::of(&scenario);
         Ok(scenario)
     }
 
@@ -381,6 +386,7 @@ impl Scenario {
             unknown_input,
             limits,
             part_of: self.within(),
+            scales: self.scales,
             ..Self::planned(name, input, channel, events, times)
         }
     }
@@ -449,6 +455,10 @@ impl Scenario {
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s,
             unknown_input: holes.chain([between]).chain(later_holes).collect(),
+            scales: RunScales {
+                length_s: self.scales.length_s + later.scales.length_s,
+                ..self.scales
+            },
             ..Self::planned(name, self.input, self.input_channel, events, times)
         }
     }

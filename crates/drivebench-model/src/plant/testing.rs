@@ -5,7 +5,9 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{ActiveEffect, Input, Model, Motor, MotorKey, Plant, Scenario, State, effect};
+use super::{
+    ActiveEffect, Input, Model, Motor, MotorKey, Plant, RunScales, Scenario, State, effect,
+};
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -42,6 +44,20 @@ pub fn record(
     scenario.current_a = noisy(&out.current_a, CURRENT_NOISE_A);
     scenario.speed_rad_s = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S);
     scenario
+}
+
+/// A run with every voltage, current, speed and time multiplied by these, with its own scales.
+pub fn scaled(run: &Scenario, [voltage, current, speed, time]: [f64; 4]) -> Scenario {
+    let by = |values: &[f64], factor: f64| values.iter().map(|value| value * factor).collect();
+    let events = run.events.iter().map(|(at_s, volts)| (at_s * time, volts * voltage)).collect();
+    let times = by(&run.sample_time_s, time);
+    let mut scaled = Scenario {
+        current_a: by(&run.current_a, current),
+        speed_rad_s: by(&run.speed_rad_s, speed),
+        ..Scenario::planned(run.name.clone(), run.input, run.input_channel, events, times)
+    };
+    scaled.scales = RunScales::of(&scaled);
+    scaled
 }
 
 /// A zero-order hold from its instants and levels: `(time, value)`.

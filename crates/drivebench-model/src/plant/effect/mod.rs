@@ -56,10 +56,11 @@ pub use definition::{DefinitionError, Layout};
 pub use formula::{Formula, Place, SYMBOLS};
 pub use grammar::Tree;
 pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE, VOLTAGE_DROP};
-pub use parameter::{ParameterRole, ParameterSpec};
+pub use parameter::{ParameterRole, ParameterSpec, SearchRange};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
 
+use crate::plant::run_scales::Measure;
 use parameter::WAVE_ORDERS;
 use terms::{
     begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,

@@ -5,7 +5,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::*;
 use crate::numerics::statistics::largest;
 use crate::plant::testing::held;
-use crate::plant::{ActiveEffect, Input, Model, ModelFile, Motor, Plant, Scenario, State};
+use crate::plant::{
+    ActiveEffect, Input, Model, ModelFile, Motor, Plant, RunScales, Scenario, State,
+};
 use crate::sample::Channel;
 
 /// Ids and keys that model files, JSON and the command line use; a change here breaks files in the field.
@@ -219,7 +221,7 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
             assert!(!spec.logarithmic || spec.min > 0.0, "{at}");
             assert!(spec.shapes.windows(2).all(|pair| pair[0] < pair[1]), "{at}");
             let bounds = match spec.role {
-                ParameterRole::EventTime => (0.0, 1.0),
+                ParameterRole::EventTime => (0.0, RunScales::REFERENCE.length_s),
                 _ => (spec.min, spec.max),
             };
             let is_within = |shape: &f64| (bounds.0..=bounds.1).contains(shape);
