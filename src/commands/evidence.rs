@@ -559,7 +559,13 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let (mut cautions, name) = (Vec::new(), &run.name);
     let channel = scenario.input_channel;
     cautions.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
-    let whole = scenario.unknown_input.is_empty();
+    let whole = scenario.unknown_input.iter().all(|hole| hole.lost_rows == 0);
+    if scenario.has_sampled_input() {
+        let key = channel.key();
+        cautions.push(format!(
+            "{name}: {key} is known at the rows only, and changed at unknown instants between them, which are estimated from the current"
+        ));
+    }
     if let (true, Channel::Voltage, Some(cells)) = (whole, channel, run.column(channel)) {
         let begin_s = scenario.begin_s();
         let rows = run.time_s().iter().zip(cells);

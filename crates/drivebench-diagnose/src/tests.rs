@@ -5,7 +5,7 @@ use super::kit::{evidence, nameplate, names, record, truth, with};
 use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
-use drivebench_model::plant::{MotorKey, Scenario, effect};
+use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
@@ -58,6 +58,33 @@ fn a_model_without_predictive_power_has_no_conclusion() {
             let is_given = own.key == "resistance_ohm";
             assert_eq!(own.value.is_some(), is_given, "{own:?}");
         }
+    }
+}
+
+/// Steps at these instants, in periods of a log that has the voltage of its rows only.
+fn logged(truth: &Model, begins: impl Iterator<Item = f64>, seed: u64) -> Scenario {
+    let period_s = 6e-3;
+    let level = |step: u64| 12.0 * ((step + seed) * (step + seed) % 17) as f64 - 90.0;
+    let steps = begins.zip(1..).map(|(begin, step)| (begin * period_s, level(step)));
+    let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+    let run = testing::record(truth, events, period_s, 8.0, seed);
+    Scenario::from_run(&testing::with_rows_lost(&run, |_| false)).unwrap()
+}
+
+#[test]
+fn steps_between_two_rows_of_a_log_are_no_effect() {
+    for (truth, expected) in
+        [(nameplate(), &[][..]), (truth("voltage_drop", &[4.0]), &["voltage_drop"])]
+    {
+        let run = |seed: u64| {
+            let begin = |step: u64| (40 * step + 100) as f64 + (step as f64 * 0.618_034).fract();
+            logged(&truth, (0..30).map(begin), seed)
+        };
+        let found = diagnose(&nameplate(), Evidence::new(run(1), Some(run(2)), None)).unwrap();
+        assert!(run(1).has_sampled_input() && found.sufficient, "{:?}", found.verdict);
+        assert_eq!(names(&found), expected);
+        let more = found.candidates.iter().filter(|own| !expected.contains(&own.effect));
+        assert!(more.clone().all(|own| own.probability < 0.5), "{:?}", found.candidates);
     }
 }
 

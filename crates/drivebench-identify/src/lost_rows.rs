@@ -20,10 +20,10 @@ pub struct LostRows {
 
 /// `None` for a complete record.
 pub fn find(run: &Run, scenario: &Scenario) -> Option<LostRows> {
-    let holes = &scenario.unknown_input;
-    let longest = holes.iter().max_by_key(|hole| hole.lost_rows)?;
-    let lost: usize = holes.iter().map(|hole| hole.lost_rows).sum();
-    let estimated = holes.iter().filter(|hole| hole.variance > 0.0);
+    let holes = || scenario.unknown_input.iter().filter(|hole| hole.lost_rows > 0);
+    let longest = holes().max_by_key(|hole| hole.lost_rows)?;
+    let lost: usize = holes().map(|hole| hole.lost_rows).sum();
+    let estimated = holes().filter(|hole| hole.variance > 0.0);
     let estimated_s: f64 = estimated.map(|hole| hole.to_s - hole.from_s).sum();
     let length_s = scenario.sample_time_s[scenario.samples() - 1] - scenario.begin_s();
     Some(LostRows {
@@ -34,7 +34,7 @@ pub fn find(run: &Run, scenario: &Scenario) -> Option<LostRows> {
         longest_s: [longest.from_s, longest.to_s],
         estimated_s,
         estimated_share: estimated_s / length_s,
-        restarts: holes.iter().filter(|hole| hole.restart.is_some()).count(),
+        restarts: holes().filter(|hole| hole.restart.is_some()).count(),
     })
 }
 

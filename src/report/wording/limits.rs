@@ -30,9 +30,9 @@ pub fn limit(limit: &Limit) -> String {
             format!("errors are those of the torque balance ({})", derivation(of))
         }
         Limit::LostRows { expected, most, highest } => format!(
-            "the commands in the rows that the hold-out lacks are unknown: they alone cause an error of about {expected:.1} times \
-             the noise, and up to {most:.1} is allowed for; an error below {highest:.1} times the noise may be due to them \
-             alone"
+            "the commands of the hold-out are not known everywhere (rows are missing, or the voltage changed at an unknown instant \
+             between two rows): this alone causes an error of about {expected:.1} times the noise, and up to {most:.1} is allowed \
+             for; an error below {highest:.1} times the noise may be due to it alone"
         ),
         Limit::NothingRuledOut(why) => format!("nothing is ruled out: {}", why_open(*why)),
         Limit::RepeatUnknown(why) => {

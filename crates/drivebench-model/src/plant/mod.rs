@@ -16,6 +16,7 @@ mod model_file;
 mod motor;
 mod motor_range;
 mod run_scales;
+mod sampled_edges;
 mod scenario;
 mod shaft_angle;
 mod simulate;

@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use super::limited::{LimitReached, applied};
 use super::run_scales::RunScales;
+use super::sampled_edges;
 use super::shaft_angle::continuous;
 use super::unknown_input::{self, Rows, UnknownInput};
 use crate::numerics::count::whole;
@@ -76,7 +77,8 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero for a stamp of the drive. Empty: all are stamps of the drive.
     pub time_half_width_s: Vec<f64>,
-    /// Intervals in which rows with the voltage were lost, in order; `events` have its estimate there. Empty in a whole record.
+    /// Intervals in which rows with the voltage were lost, or in which a sampled voltage changed, in order; `events` have its
+    /// estimate there. Empty in a whole record whose changes are at their stamps.
     pub unknown_input: Vec<UnknownInput>,
     /// Intervals in which the drive reached its current limit, in order.
     pub limits: Vec<LimitReached>,
@@ -172,15 +174,16 @@ impl Scenario {
         };
         scenario.refuse_gaps()?;
         if input == Input::Voltage {
-            scenario.bridge_lost_rows();
+            let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
+            scenario.bridge_lost_rows(!is_own);
         }
         scenario.scales = RunScales::of(&scenario);
         Ok(scenario)
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
-    /// hole.
-    fn bridge_lost_rows(&mut self) {
+    /// hole; of a voltage that may be `sampled`, also of the instants of its changes.
+    fn bridge_lost_rows(&mut self, may_be_sampled: bool) {
         let times = &self.sample_time_s;
         let mut sample = 0;
         let measured: Vec<[f64; 2]> = (self.events.iter())
@@ -197,15 +200,20 @@ impl Scenario {
                 }
             })
             .collect();
-        let holes = unknown_input::find(&Rows {
-            input: &self.events,
-            measured: &measured,
-            sample_period_s: median_step(times),
-        });
+        let rows =
+            Rows { input: &self.events, measured: &measured, sample_period_s: median_step(times) };
+        let mut holes = unknown_input::find(&rows);
+        let edges = if may_be_sampled { sampled_edges::find(&rows) } else { Vec::new() };
+        for edge in edges {
+            self.events[edge.event].0 = edge.at_s;
+            holes.push(edge.interval);
+        }
+        holes.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         if holes.is_empty() {
             return;
         }
-        self.events.extend(holes.iter().flat_map(UnknownInput::steps));
+        let lost = holes.iter().filter(|hole| hole.lost_rows > 0);
+        self.events.extend(lost.flat_map(UnknownInput::steps));
         self.events.sort_by(|a, b| a.0.total_cmp(&b.0));
         for hole in holes.iter().filter(|hole| hole.restart.is_some()) {
             let times = &self.sample_time_s;
@@ -264,6 +272,11 @@ impl Scenario {
             (Input::Voltage, _) => Some((-0.5 * period_s, 0.5 * period_s)),
             _ => None,
         }
+    }
+
+    /// Whether the input is known at the samples only, so that its changes came at unknown instants.
+    pub fn has_sampled_input(&self) -> bool {
+        self.unknown_input.iter().any(UnknownInput::is_of_edge)
     }
 
     /// The same with every change of the input delayed by `delay_s`; the first value holds from the same instant.

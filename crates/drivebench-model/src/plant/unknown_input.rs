@@ -18,7 +18,7 @@ use nalgebra::{SMatrix, SVector};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::{largest, mean, median};
 
-/// An interval without a row of the input.
+/// An interval without a row of the input, or, without a lost row, one in which it changed at an unknown instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnknownInput {
     pub from_s: f64,
@@ -71,6 +71,17 @@ impl UnknownInput {
             variance: 0.0,
             restart: Some(begins_with),
         }
+    }
+
+    /// The interval of a change at an unknown instant.
+    pub(super) const fn of_edge(from_s: f64, to_s: f64, mean: f64, variance: f64) -> Self {
+        let beside = [0.0; SHORT_HOLE];
+        Self { from_s, to_s, lost_rows: 0, mean, beside, variance, restart: None }
+    }
+
+    /// Whether no row was lost: the input changed at an unknown instant.
+    pub const fn is_of_edge(&self) -> bool {
+        self.lost_rows == 0 && self.variance > 0.0
     }
 
     /// The estimate as a zero-order hold: `(time, value)`.
