@@ -10,7 +10,7 @@ use drivebench_identify::stamps::spread;
 use drivebench_model::numerics::propagator::{LinearPart, Propagator};
 use drivebench_model::numerics::statistics::{largest, median};
 use drivebench_model::plant::{
-    Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory,
+    Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory, UnknownInput,
 };
 
 /// Noise parameters of a run.
@@ -321,19 +321,15 @@ impl<'a> Filter<'a> {
     }
 
     /// Mean square of the error of the mean voltage between two instants by holes of the record, V2: behind a hole it acts as
-    /// late as the model's commands do. Errors of two holes are independent. And the part of it by changes of a sampled voltage:
-    /// the current has already determined their instants, so that it does not determine the speed as well.
-    fn holes_v2(&self, from_s: f64, to_s: f64) -> (f64, f64) {
+    /// late as the model's commands do. Errors of two holes are independent.
+    fn holes_v2(&self, from_s: f64, to_s: f64, variance: impl Fn(&UnknownInput) -> f64) -> f64 {
         let holes = &self.scenario.unknown_input;
         let over = [from_s - self.command_delay_s, to_s - self.command_delay_s];
         let first = holes.partition_point(|hole| hole.to_s <= over[0]);
         (holes[first..].iter())
             .take_while(|hole| hole.from_s < over[1])
-            .map(|hole| {
-                let all = unknown_v2([hole.from_s, hole.to_s], hole.variance, over);
-                (all, if hole.is_of_edge() { all } else { 0.0 })
-            })
-            .fold((0.0, 0.0), |sum, part| (sum.0 + part.0, sum.1 + part.1))
+            .map(|hole| unknown_v2([hole.from_s, hole.to_s], variance(hole), over))
+            .sum()
     }
 
     /// The same by the drive's current limit: how long the whole command acted before the limit held it is not known.
@@ -368,10 +364,29 @@ impl<'a> Filter<'a> {
         edges_v2: f64,
         speed_rad_s: f64,
     ) -> ([f64; 2], [f64; 2], f64) {
-        let (holes_v2, sampled_v2) = self.holes_v2(time_s - interval_s, time_s);
-        let one_v2 = holes_v2 + self.limits_v2(time_s - interval_s, time_s);
+        let from_s = time_s - interval_s;
+        let limits_v2 = self.limits_v2(from_s, time_s);
+        let holes_v2 = self.holes_v2(from_s, time_s, |hole| hole.variance);
+        let one_v2 = holes_v2 + limits_v2;
         let unobserved = moved.map(|moved| moved * moved * holes_v2);
-        let [current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
+        let [mut current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
+        let mut common_v2 = one_v2;
+        if self.scenario.has_sampled_input() {
+            // The instant of a change is from the current after it, which tells nothing else: as if it were uniformly distributed.
+            let scenario = self.scenario;
+            let change_v =
+                |hole: &UnknownInput| scenario.input_at(hole.to_s) - scenario.input_at(hole.from_s);
+            let only = |is_of_edge: bool, of: &dyn Fn(&UnknownInput) -> f64| {
+                let counted = |hole: &UnknownInput| {
+                    if hole.is_of_edge() == is_of_edge { of(hole) } else { 0.0 }
+                };
+                self.holes_v2(from_s, time_s, counted)
+            };
+            common_v2 = only(false, &|hole| hole.variance) + limits_v2;
+            current = moved[0]
+                * moved[0]
+                * (common_v2 + edges_v2 + only(true, &|hole| change_v(hole).powi(2) / 12.0));
+        }
         let slow = speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
         let held_s = time_s - self.scenario.events[self.event].0;
         let is_blind = time_s - self.observed_s > self.longest_blind_s;
@@ -380,7 +395,7 @@ impl<'a> Filter<'a> {
             (_, true) => self.slow_rad_s,
             _ => 0.0,
         };
-        let covariance = moved[0] * moved[1] * (one_v2 - sampled_v2);
+        let covariance = moved[0] * moved[1] * common_v2;
         ([current, speed + anew * anew], unobserved, covariance)
     }
 
@@ -667,7 +682,6 @@ pub(super) fn hole(from_s: f64, to_s: f64, variance: f64) -> drivebench_model::p
 mod tests {
     use super::*;
     use crate::kit::{nameplate, truth};
-    use drivebench_model::plant::UnknownInput;
     use drivebench_model::plant::testing::record;
 
     #[test]
@@ -706,7 +720,7 @@ mod tests {
             let filter = Filter::new(&model, &scenario, State::default(), &QUIET).unwrap();
             for (from_s, unknown_v2) in [(0.0, 9.0), (-1e-3, 0.0), (1e-3, 0.0)] {
                 let from_s = begin_s + from_s;
-                let (found, _) = filter.holes_v2(from_s, from_s + 1e-3);
+                let found = filter.holes_v2(from_s, from_s + 1e-3, |hole| hole.variance);
                 assert!((found - unknown_v2).abs() < 1e-6, "{from_s}: {found}");
             }
         }

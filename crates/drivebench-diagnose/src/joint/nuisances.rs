@@ -86,6 +86,7 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let period_s = scenario.mean_period_s();
     let half_width_s = scenario.typical_half_width_s();
     let of_samples_s = half_width_s.map(|half| half / 3f64.sqrt());
+    let is_sampled = scenario.has_sampled_input();
     let of_commands_s = scenario.input_delay_s().map(|(_, deviation)| deviation);
     late.into_iter().take(count).map(move |kind| {
         let is_command = kind == TermKind::LateCommand;
@@ -93,6 +94,8 @@ fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
         let least_periods = match known_s {
             // A torque may be that of any instant of its period.
             _ if !by_voltage => 1.0,
+            // What the estimates of its instants have in common.
+            _ if is_command && is_sampled => 0.05,
             // Stamped by the drive.
             None => 0.01,
             Some(_) => 0.05,
