@@ -231,6 +231,8 @@ struct Filter<'a> {
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
+    /// Whether the voltage changed at unknown instants.
+    is_sampled: bool,
     /// Square of a coupling's torque with the decay of its oscillation; the largest so far, assumed after a gap of the record; and
     /// the time of the last gap, from which on the twist is unknown.
     ringing: f64,
@@ -289,6 +291,7 @@ impl<'a> Filter<'a> {
             command_jitter_s: scenario.input_delay_s().map_or(0.0, |delay| delay.1),
             hole_ends_s: restarted.map(|hole| hole.to_s).collect(),
             holes_passed: 0,
+            is_sampled: scenario.has_sampled_input(),
             ringing: 0.0,
             most_ringing: 0.0,
             twist_unknown_from_s: f64::NEG_INFINITY,
@@ -332,6 +335,24 @@ impl<'a> Filter<'a> {
             .sum()
     }
 
+    /// The part of it by changes of a sampled voltage, and that part if their instants were uniformly distributed. They are from the
+    /// current after them, which tells nothing else: neither its own error nor, with it, that of the speed.
+    fn sampled_v2(&self, from_s: f64, to_s: f64) -> [f64; 2] {
+        let scenario = self.scenario;
+        let change_v = |hole: &UnknownInput| {
+            let [before_v, after_v] = [hole.from_s, hole.to_s].map(|at_s| scenario.input_at(at_s));
+            after_v - before_v
+        };
+        let uniform_v2 = |hole: &UnknownInput| change_v(hole).powi(2) / 12.0;
+        let known_v2 = |hole: &UnknownInput| hole.variance;
+        let variances: [&dyn Fn(&UnknownInput) -> f64; 2] = [&known_v2, &uniform_v2];
+        variances.map(|variance| {
+            let of_edge =
+                |hole: &UnknownInput| if hole.is_of_edge() { variance(hole) } else { 0.0 };
+            if self.is_sampled { self.holes_v2(from_s, to_s, of_edge) } else { 0.0 }
+        })
+    }
+
     /// The same by the drive's current limit: how long the whole command acted before the limit held it is not known.
     fn limits_v2(&self, from_s: f64, to_s: f64) -> f64 {
         let limits = &self.scenario.limits;
@@ -365,28 +386,12 @@ impl<'a> Filter<'a> {
         speed_rad_s: f64,
     ) -> ([f64; 2], [f64; 2], f64) {
         let from_s = time_s - interval_s;
-        let limits_v2 = self.limits_v2(from_s, time_s);
         let holes_v2 = self.holes_v2(from_s, time_s, |hole| hole.variance);
-        let one_v2 = holes_v2 + limits_v2;
+        let one_v2 = holes_v2 + self.limits_v2(from_s, time_s);
+        let [sampled_v2, uniform_v2] = self.sampled_v2(from_s, time_s);
         let unobserved = moved.map(|moved| moved * moved * holes_v2);
-        let [mut current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
-        let mut common_v2 = one_v2;
-        if self.scenario.has_sampled_input() {
-            // The instant of a change is from the current after it, which tells nothing else: as if it were uniformly distributed.
-            let scenario = self.scenario;
-            let change_v =
-                |hole: &UnknownInput| scenario.input_at(hole.to_s) - scenario.input_at(hole.from_s);
-            let only = |is_of_edge: bool, of: &dyn Fn(&UnknownInput) -> f64| {
-                let counted = |hole: &UnknownInput| {
-                    if hole.is_of_edge() == is_of_edge { of(hole) } else { 0.0 }
-                };
-                self.holes_v2(from_s, time_s, counted)
-            };
-            common_v2 = only(false, &|hole| hole.variance) + limits_v2;
-            current = moved[0]
-                * moved[0]
-                * (common_v2 + edges_v2 + only(true, &|hole| change_v(hole).powi(2) / 12.0));
-        }
+        let [current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
+        let current = current + moved[0] * moved[0] * (uniform_v2 - sampled_v2);
         let slow = speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
         let held_s = time_s - self.scenario.events[self.event].0;
         let is_blind = time_s - self.observed_s > self.longest_blind_s;
@@ -395,7 +400,7 @@ impl<'a> Filter<'a> {
             (_, true) => self.slow_rad_s,
             _ => 0.0,
         };
-        let covariance = moved[0] * moved[1] * common_v2;
+        let covariance = moved[0] * moved[1] * (one_v2 - sampled_v2);
         ([current, speed + anew * anew], unobserved, covariance)
     }
 

