@@ -172,7 +172,6 @@ impl<'a> FreeRun<'a> {
         let mut events = self.run.events.iter().peekable();
         let mut voltage_v = 0.0;
         let mut own = vec![0.0; terms.states()];
-        let mut rate = own.clone();
         let (mut last_s, mut last_rad_s) = (self.run.begin_s(), self.start.speed_rad_s);
         let (mut torque, mut voltage) = (0.0_f64, 0.0_f64);
         for (sample, &time_s) in self.run.sample_time_s.iter().enumerate() {
@@ -192,10 +191,7 @@ impl<'a> FreeRun<'a> {
             };
             let interval_s = time_s - last_s;
             if !own.is_empty() && interval_s > 0.0 {
-                terms.derivative(&at, &own, &mut rate);
-                for (state, rate) in own.iter_mut().zip(&rate) {
-                    *state += rate * interval_s;
-                }
+                terms.advance(&at, &mut own, interval_s);
             }
             let acceleration = (at.speed_rad_s - last_rad_s) / interval_s;
             let acceleration = if interval_s > 0.0 { acceleration } else { 0.0 };

@@ -13,8 +13,8 @@ use super::tangent::{Tangent, Wave, are_tangents};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::effect::{Axis, Harmonic, TermKind};
 use drivebench_model::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
-    typical_size,
+    ActiveEffect, Effect, Enters, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot,
+    Terms, typical_size,
 };
 
 /// Prior deviation of the logarithm of a motor's parameter.
@@ -227,7 +227,7 @@ pub(super) fn bends(
     if terms.coupling().is_some() {
         return vec![];
     }
-    if terms.states() > 0 {
+    if terms.states() > 0 && effect.card().enters == Enters::Voltage {
         return vec![Tangent::Terms(Box::new(HotCopper(terms)))];
     }
     let mut bends = Vec::new();

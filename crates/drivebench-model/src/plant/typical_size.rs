@@ -24,11 +24,8 @@ pub fn typical_size(
     });
     let terms = effect.terms(&values.collect::<Vec<f64>>());
     let times = &scenario.sample_time_s;
-    let duration_s = times[times.len() - 1] - times[0];
     let currents = finite(&scenario.current_a);
-    let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
-    // States of effects integrate the square of the current: their value at the end of the run.
-    let own = vec![mean_square * duration_s; terms.states()];
+    let mut own = vec![0.0; terms.states()];
     // 500 samples are enough.
     let stride = times.len().div_ceil(500);
     let largest_input = largest(scenario.events.iter().map(|event| event.1));
@@ -58,6 +55,12 @@ pub fn typical_size(
             angle: ShaftAngle::at(sample as f64),
             ..motor
         };
+        let last_s = times[sample.saturating_sub(stride)];
+        let mut next = own.clone();
+        terms.advance(&at, &mut next, times[sample] - last_s);
+        if next.iter().all(|state| state.is_finite()) {
+            own = next;
+        }
         let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
         let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
         // `max` ignores NaN, as of a sample without a speed. Half of the largest torque accelerates.

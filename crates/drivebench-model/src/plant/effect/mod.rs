@@ -30,6 +30,7 @@ mod grammar;
 mod inductance_saturation;
 mod inertia_change;
 mod kind;
+mod lagged_load;
 mod load_dependent_friction;
 mod load_step;
 mod one_sided_load;
@@ -70,6 +71,7 @@ use terms::{
 pub const CATALOGUE: &[&dyn Effect] = &[
     &viscous_friction::EFFECT,
     &quadratic_load::EFFECT,
+    &lagged_load::EFFECT,
     &stribeck_friction::EFFECT,
     &constant_load::EFFECT,
     &asymmetric_viscous::EFFECT,

@@ -140,6 +140,15 @@ pub trait Terms: Send + Sync {
     /// Time derivatives of the effect's states.
     fn derivative(&self, _at: &Instant, _own: &[f64], _out: &mut [f64]) {}
 
+    /// Advances the effect's states by an interval of a record with the instant of its middle.
+    fn advance(&self, at: &Instant, own: &mut [f64], interval_s: f64) {
+        let mut rate = vec![0.0; own.len()];
+        self.derivative(at, own, &mut rate);
+        for (state, rate) in own.iter_mut().zip(rate) {
+            *state += interval_s * rate;
+        }
+    }
+
     /// Its delays, filters and offsets in the path of command and measurement.
     fn path(&self) -> Path {
         Path::default()
