@@ -71,6 +71,7 @@ findings! {
         TorqueOverAngle = "unknown_torque_over_angle",
         VoltageOverCurrent = "unknown_voltage_over_current",
         TorqueOverSpeed = "unknown_torque_over_speed",
+        TorqueOverPastSpeed = "unknown_torque_over_past_speed",
     }
 }
 
@@ -385,6 +386,9 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
             let (equation, follows, kind) = match candidate.id {
                 "torque over angle" => ("torque", "angle_rad", UnknownKind::TorqueOverAngle),
                 "voltage over current" => ("voltage", "current_a", UnknownKind::VoltageOverCurrent),
+                "torque over past speed" => {
+                    ("torque", "past_speed_rad_s", UnknownKind::TorqueOverPastSpeed)
+                }
                 _ => ("torque", "speed_rad_s", UnknownKind::TorqueOverSpeed),
             };
             Unknown { equation, follows, probability: *probability, share_of_error: *share, kind }

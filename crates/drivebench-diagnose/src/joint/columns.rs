@@ -14,7 +14,7 @@ use super::tangent::{self, LANES, Tangent};
 use super::whitened::Whitened;
 use drivebench_model::plant::effect::Axis;
 use drivebench_model::plant::{
-    ActiveEffect, Balance, Effect, Input, Model, ParameterRole, ParameterSpec, Scenario,
+    ActiveEffect, Balance, Effect, Enters, Input, Model, ParameterRole, ParameterSpec, Scenario,
     typical_size,
 };
 
@@ -306,14 +306,24 @@ fn assemble(
     Linear { nuisances, candidates, gram, right, squares, columns, present, scales }
 }
 
+/// Whether the effect is a torque with a state of its own.
+fn depends_on_the_past(effect: &dyn Effect) -> bool {
+    let guesses: Vec<f64> = effect.parameters().iter().map(ParameterSpec::guess).collect();
+    effect.card().enters == Enters::Torque && effect.terms(&guesses).states() > 0
+}
+
 /// Candidates that exclude each other: alternatives of one family, and under a voltage an unknown curve and an effect over the
 /// same axis. A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
 fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
-        "torque over speed" => Some((Balance::Torque, Axis::Speed)),
-        "torque over angle" => Some((Balance::Torque, Axis::Angle)),
-        "voltage over current" => Some((Balance::Voltage, Axis::Current)),
-        _ => c.effect.and_then(|effect| effect.card().curve),
+        "torque over speed" => Some((Balance::Torque, Some(Axis::Speed))),
+        "torque over angle" => Some((Balance::Torque, Some(Axis::Angle))),
+        "torque over past speed" => Some((Balance::Torque, None)),
+        "voltage over current" => Some((Balance::Voltage, Some(Axis::Current))),
+        _ => c.effect.and_then(|effect| {
+            let own = effect.card().curve.map(|(balance, axis)| (balance, Some(axis)));
+            own.or_else(|| depends_on_the_past(effect).then_some((Balance::Torque, None)))
+        }),
     };
     let names = |a: &Candidate, b: &Candidate| {
         a.effect.map(Effect::card).is_some_and(|card| {

@@ -6,6 +6,7 @@ use std::mem::{self, Discriminant};
 use nalgebra::DVector;
 
 use super::columns::columns_of;
+use super::memory::torque_over_the_past;
 use super::process_noise::{constants, terms_of};
 use super::regression::{Column, Form, Part, SLAB, Source};
 use super::run::LinearisedRun;
@@ -358,6 +359,8 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     if by_voltage {
         let volts = hats(Axis::Current, 7, current, volts);
         parts.push(part("voltage over current", volts));
+        let past = torque_over_the_past(run.scenario, speed, torque);
+        parts.push(part("torque over past speed", past));
     }
     parts
 }

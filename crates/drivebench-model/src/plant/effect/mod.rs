@@ -30,6 +30,7 @@ mod grammar;
 mod inductance_saturation;
 mod inertia_change;
 mod kind;
+mod lagged_drag;
 mod lagged_load;
 mod load_dependent_friction;
 mod load_step;
@@ -72,6 +73,7 @@ pub const CATALOGUE: &[&dyn Effect] = &[
     &viscous_friction::EFFECT,
     &quadratic_load::EFFECT,
     &lagged_load::EFFECT,
+    &lagged_drag::EFFECT,
     &stribeck_friction::EFFECT,
     &constant_load::EFFECT,
     &asymmetric_viscous::EFFECT,

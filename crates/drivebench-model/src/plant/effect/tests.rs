@@ -15,6 +15,7 @@ const KEYS: &str = "
     viscous_friction viscous_n_m_s_per_rad
     quadratic_load quadratic_n_m_s2_per_rad2
     lagged_load lagged_n_m_s2_per_rad2 time_constant_s
+    lagged_drag lagged_n_m_s_per_rad time_constant_s
     stribeck_friction stribeck_n_m stribeck_speed_rad_s
     constant_load constant_n_m
     asymmetric_viscous asymmetry_n_m_s_per_rad
@@ -125,7 +126,8 @@ fn effects_with_a_clock_or_a_state_go_on_over_runs() {
     let found = CATALOGUE.iter().filter(|own| own.goes_on_over_runs());
     let found: BTreeSet<&str> = found.map(|own| own.card().id).collect();
     let timed = "friction_onset inertia_change load_step one_sided_load";
-    let expected = format!("{timed} field_change lagged_load start_delay winding_heating");
+    let expected =
+        format!("{timed} field_change lagged_drag lagged_load start_delay winding_heating");
     assert_eq!(found, expected.split(' ').collect());
 }
 
