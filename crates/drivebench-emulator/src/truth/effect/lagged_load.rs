@@ -13,22 +13,30 @@ pub(super) const KIND: HiddenKind = HiddenKind {
     mystery: None,
     acts: Acts::Inside(|values, site| {
         let rated_speed_rad_s = site.motor.rated_speed_rad_s;
-        Box::new(Column {
-            at_rated_n_m: values[0] * rated_speed_rad_s.powi(2),
-            rated_speed_rad_s,
-            time_constant_s: values[1],
-            torque_n_m: 0.0,
-        })
+        // As measured fans: a power a little below two. The host's catalogue has w |w|.
+        let (at_rated_n_m, power) = (values[0] * rated_speed_rad_s.powi(2), 1.95);
+        Box::new(Column::new(at_rated_n_m, rated_speed_rad_s, power, values[1]))
     }),
 };
 
-/// A column of air or water: dT/dt = (Tn |w/wn|^1.95 sgn(w) - T)/tau, as measured fans: a power a little below two. The host's
-/// catalogue has w |w|.
-struct Column {
+/// A column that is set in motion: dT/dt = (Tn |w/wn|^power sgn(w) - T)/tau.
+pub(super) struct Column {
     at_rated_n_m: f64,
     rated_speed_rad_s: f64,
+    power: f64,
     time_constant_s: f64,
     torque_n_m: f64,
+}
+
+impl Column {
+    pub(super) const fn new(
+        at_rated_n_m: f64,
+        rated_speed_rad_s: f64,
+        power: f64,
+        time_constant_s: f64,
+    ) -> Self {
+        Self { at_rated_n_m, rated_speed_rad_s, power, time_constant_s, torque_n_m: 0.0 }
+    }
 }
 
 impl Mechanism for Column {
@@ -38,7 +46,7 @@ impl Mechanism for Column {
 
     fn advance(&mut self, step_s: f64, at: &Moment, _put_out_v: f64) {
         let ratio = (at.speed_rad_s / self.rated_speed_rad_s).abs();
-        let settled_n_m = (self.at_rated_n_m * ratio.powf(1.95)).copysign(at.speed_rad_s);
+        let settled_n_m = (self.at_rated_n_m * ratio.powf(self.power)).copysign(at.speed_rad_s);
         self.torque_n_m += (settled_n_m - self.torque_n_m) * step_s / self.time_constant_s;
     }
 }

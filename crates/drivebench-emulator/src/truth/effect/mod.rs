@@ -31,6 +31,7 @@ mod friction_onset;
 mod inductance_saturation;
 mod inertia_change;
 mod kind;
+mod lagged_drag;
 mod lagged_load;
 mod load_dependent_friction;
 mod load_step;
@@ -78,6 +79,7 @@ static CATALOGUE: &[HiddenKind] = &[
     eccentric_load::KIND,
     load_dependent_friction::KIND,
     lagged_load::KIND,
+    lagged_drag::KIND,
     load_step::KIND,
     one_sided_load::KIND,
     friction_onset::KIND,
