@@ -6,6 +6,9 @@ use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
+use drivebench_model::plant::{
+    ActiveEffect, Card, Enters, Instant, MotorKey, Scenario, Terms, effect,
+};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
@@ -18,6 +21,8 @@ fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
 fn a_single_effect_is_named_and_reduces_the_error_to_the_floor() {
     for (id, values) in [
         ("quadratic_load", &[2e-6][..]),
+        ("lagged_load", &[3e-6, 0.4]),
+        ("lagged_drag", &[8e-4, 0.15]),
         ("stribeck_friction", &[0.12, 9.0]),
         ("voltage_drop", &[0.9]),
         ("constant_load", &[0.06]),
@@ -30,6 +35,36 @@ fn a_single_effect_is_named_and_reduces_the_error_to_the_floor() {
         assert_eq!((first.effect, first.status), (id, Status::Supported));
         assert!(is_of_size(first, values[0]), "{first:?} of {}", values[0]);
     }
+}
+
+/// Friction that rises while the shaft is slow, and falls while it turns: an effect that the catalogue does not have.
+struct Dwell;
+
+impl Terms for Dwell {
+    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
+        0.3 * own[0] * (at.speed_rad_s / 2.0).tanh()
+    }
+
+    fn states(&self) -> usize {
+        1
+    }
+
+    fn derivative(&self, at: &Instant, own: &[f64], out: &mut [f64]) {
+        out[0] = ((-(at.speed_rad_s / 15.0).powi(2)).exp() - own[0]) / 0.5;
+    }
+}
+
+#[test]
+fn an_unknown_memory_is_left_unexplained_and_nothing_false_is_named() {
+    static EFFECT: Card =
+        Card { id: "dwell", enters: Enters::Torque, terms: |_| Box::new(Dwell), ..Card::PLAIN };
+    let mut machine = nameplate();
+    machine.effects.push(ActiveEffect::with(&EFFECT, &[]));
+    let found = diagnose(&nameplate(), evidence(&machine, 3)).unwrap();
+    assert_eq!(found.answer(), Answer::Unexplained, "{:?}", found.effects);
+    assert!(found.effects.is_empty() && !found.sufficient, "{:?}", found.effects);
+    let kinds: Vec<UnknownKind> = found.unknown.iter().map(|own| own.kind).collect();
+    assert_eq!(kinds, [UnknownKind::TorqueOverPastSpeed], "{:?}", found.unknown);
 }
 
 #[test]

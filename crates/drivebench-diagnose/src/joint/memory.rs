@@ -86,3 +86,46 @@ pub(super) fn torque_over_the_past(
     let dwells = [middle_s, long_s].map(|lag_s| past(Memory::Dwell, lag_s));
     fading.chain(plays).chain(dwells).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Torque after each of these speeds, each held for ten time constants.
+    fn after<const N: usize>(memory: Memory, speeds_rad_s: [f64; N]) -> [f64; N] {
+        let past = Past { memory, most_rad_s: 100.0, time_constant_s: 0.2, size_n_m: 1.0 };
+        let mut own = [0.0];
+        speeds_rad_s.map(|speed_rad_s| {
+            let at = Instant { speed_rad_s, ..Instant::default() };
+            past.advance(&at, &mut own, 2.0);
+            past.torque_n_m(&at, &own)
+        })
+    }
+
+    #[test]
+    fn only_a_play_remembers_for_ever_and_a_slow_shaft_gathers_friction() {
+        for (name, torques, expected) in [
+            ("fading", after(Memory::Fading(1.0), [100.0, 50.0, -80.0]), [0.0; 3]),
+            ("play", after(Memory::Play(0.1), [60.0, 45.0, 20.0]), [-0.1, 0.05, 0.1]),
+            ("dwell", after(Memory::Dwell, [-0.01, 50.0, -5.0]), [-1.0, 0.0, -0.5]),
+        ] {
+            for (torque, expected) in torques.into_iter().zip(expected) {
+                assert!((torque - expected).abs() < 2e-3, "{name}: {torques:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn what_fades_is_the_difference_to_what_came_before() {
+        let past = Past {
+            memory: Memory::Fading(1.0),
+            most_rad_s: 100.0,
+            time_constant_s: 0.2,
+            size_n_m: 3.0,
+        };
+        let at = Instant { speed_rad_s: 100.0, ..Instant::default() };
+        let mut own = [0.0];
+        past.advance(&at, &mut own, 0.2);
+        assert!((past.torque_n_m(&at, &own) + 3.0 * (-1.0_f64).exp()).abs() < 1e-12);
+    }
+}

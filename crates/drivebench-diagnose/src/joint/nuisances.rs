@@ -385,12 +385,13 @@ mod tests {
     #[test]
     fn forms_differ_by_lag_shape_and_warming_where_they_can() {
         let run = record(&nameplate(), 0, 7);
-        let cases: [(&str, &[f64], [usize; 3]); 5] = [
+        let cases: [(&str, &[f64], [usize; 3]); 6] = [
             ("supply_sag", &[0.4], [2, 0, 0]),
             ("voltage_drop", &[1.0], [0, 0, 0]),
             ("stribeck_friction", &[0.1, 10.0], [0, 2, 0]),
             ("discontinuous_conduction", &[1.0, 2.0], [0, 2, 0]),
             ("winding_heating", &[1e-3, 20.0], [0, 0, 1]),
+            ("lagged_load", &[2e-6, 0.3], [0, 2, 0]),
         ];
         for (id, values, expected) in cases {
             let model = truth(id, values);

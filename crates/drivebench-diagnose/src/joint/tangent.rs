@@ -673,9 +673,10 @@ mod tests {
         for (id, late_s) in [("current_filter", [by_s, 0.0]), ("speed_delay", [0.0, by_s])] {
             cases.push((Tangent::ReadingDelay(late_s), truth(id, &[by_s])));
         }
-        let effects: [(&str, &[f64]); 8] = [
+        let effects: [(&str, &[f64]); 9] = [
             ("viscous_friction", &[1e-4]),
             ("quadratic_load", &[5e-7]),
+            ("lagged_load", &[5e-7, 0.2]),
             ("constant_load", &[5e-3]),
             ("voltage_offset", &[0.05]),
             ("supply_sag", &[0.01]),
