@@ -1,13 +1,13 @@
 //! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
 //! are diagnosed in `tests/`.
 
-use super::kit::{evidence, nameplate, names, record, truth, with};
+use super::kit::{evidence, held, nameplate, names, record, truth, with};
 use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
 use drivebench_model::plant::{
-    ActiveEffect, Card, Enters, Instant, MotorKey, Scenario, Terms, effect,
+    ActiveEffect, Card, Enters, Instant, MotorKey, Scenario, Terms, effect, testing,
 };
 
 /// Whether a size is the true one but for its uncertainty.
@@ -60,7 +60,14 @@ fn an_unknown_memory_is_left_unexplained_and_nothing_false_is_named() {
         Card { id: "dwell", enters: Enters::Torque, terms: |_| Box::new(Dwell), ..Card::PLAIN };
     let mut machine = nameplate();
     machine.effects.push(ActiveEffect::with(&EFFECT, &[]));
-    let found = diagnose(&nameplate(), evidence(&machine, 3)).unwrap();
+    let run = |seed: u64| {
+        let mut levels_v = [50.0, 0.0, -50.0, 0.0, 90.0, 5.0, -90.0, -4.0, 30.0, 0.0, 70.0, -30.0];
+        levels_v.rotate_left(5 * seed as usize);
+        let levels_v = [levels_v, levels_v.map(|level_v| 0.8 * level_v)].concat();
+        testing::record(&machine, held(&levels_v, 0.5), 0.004, 12.5, seed)
+    };
+    let data = Evidence::new(run(1), Some(run(2)), None);
+    let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.answer(), Answer::Unexplained, "{:?}", found.effects);
     assert!(found.effects.is_empty() && !found.sufficient, "{:?}", found.effects);
     let kinds: Vec<UnknownKind> = found.unknown.iter().map(|own| own.kind).collect();
