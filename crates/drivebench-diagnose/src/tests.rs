@@ -60,13 +60,13 @@ fn an_unknown_memory_is_left_unexplained_and_nothing_false_is_named() {
         Card { id: "dwell", enters: Enters::Torque, terms: |_| Box::new(Dwell), ..Card::PLAIN };
     let mut machine = nameplate();
     machine.effects.push(ActiveEffect::with(&EFFECT, &[]));
-    let run = |seed: u64| {
+    let run = |turn: usize, seed: u64| {
         let mut levels_v = [50.0, 0.0, -50.0, 0.0, 90.0, 5.0, -90.0, -4.0, 30.0, 0.0, 70.0, -30.0];
-        levels_v.rotate_left(5 * seed as usize);
+        levels_v.rotate_left(5 * turn);
         let levels_v = [levels_v, levels_v.map(|level_v| 0.8 * level_v)].concat();
         testing::record(&machine, held(&levels_v, 0.5), 0.004, 12.5, seed)
     };
-    let data = Evidence::new(run(1), Some(run(2)), None);
+    let data = Evidence::new(run(1, 1), Some(run(2, 2)), None);
     let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.answer(), Answer::Unexplained, "{:?}", found.effects);
     assert!(found.effects.is_empty() && !found.sufficient, "{:?}", found.effects);

@@ -43,7 +43,9 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
         );
     }
     if terms.coupling().is_some() || terms.states() > 0 {
-        return Some("a second inertia is no term of the torque balance: record the voltage too");
+        return Some(
+            "a second inertia or a state is no term of the torque balance: record the voltage too",
+        );
     }
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");

@@ -58,16 +58,17 @@ mod tests {
     #[test]
     fn follows_the_speed_by_its_time_constant_and_goes_on_at_rest() {
         let mut column = KIND.mechanism(&[1.8e-6, 0.3]);
-        let mut after = |speed_rad_s: f64, time_s: f64| {
+        let mut after = |speed_rad_s: f64, steps: usize| {
             let at = Moment { speed_rad_s, ..Moment::default() };
-            for _ in 0..(time_s / 50e-6).round() as usize {
+            for _ in 0..steps {
                 column.advance(50e-6, &at, 0.0);
             }
             column.load_torque_n_m(&at)
         };
+        // Steps of 50 us: one time constant, ten, one at rest.
         let full = 1.8e-6 * 293.2 * 293.2;
-        assert!((after(293.2, 0.3) / full - 0.632).abs() < 1e-3);
-        assert!((after(293.2, 3.0) / full - 1.0).abs() < 1e-3);
-        assert!((after(0.0, 0.3) / full - 0.368).abs() < 1e-3);
+        assert!((after(293.2, 6_000) / full - 0.632).abs() < 1e-3);
+        assert!((after(293.2, 60_000) / full - 1.0).abs() < 1e-3);
+        assert!((after(0.0, 6_000) / full - 0.368).abs() < 1e-3);
     }
 }
