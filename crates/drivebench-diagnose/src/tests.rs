@@ -5,10 +5,10 @@ use super::kit::{evidence, held, nameplate, names, record, truth, with};
 use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
-use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
 use drivebench_model::plant::{
     ActiveEffect, Card, Enters, Instant, MotorKey, Scenario, Terms, effect, testing,
 };
+use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {

@@ -1,10 +1,11 @@
 //! Load of a fan or pump that follows the speed behind a first-order lag.
 
-use super::{Card, Enters, Instant, Limit, ParameterSpec, Place, Terms};
+use super::{Card, Enters, Instant, Limit, Measure, ParameterSpec, Place, Terms};
 
 /// Time constant of the lag.
 pub(super) const LAG: ParameterSpec =
-    ParameterSpec::shape("time_constant_s", "s", (0.01, 60.0), &[0.1, 0.3, 1.0, 3.0]);
+    ParameterSpec::shape("time_constant_s", "s", (0.01, 60.0), &[0.1, 0.3, 1.0, 3.0])
+        .of(Measure::Response);
 /// Behind a shorter lag the load is there at once: a step of the speed takes as long.
 pub(super) const LEAST_LAG_S: f64 = 0.02;
 
