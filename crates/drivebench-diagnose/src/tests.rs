@@ -6,9 +6,8 @@ use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{
-    ActiveEffect, Card, Enters, Instant, MotorKey, Scenario, Terms, effect, testing,
+    ActiveEffect, Card, Enters, Instant, Model, MotorKey, Scenario, Terms, effect, testing,
 };
-use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {

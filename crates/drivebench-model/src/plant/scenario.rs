@@ -177,8 +177,13 @@ impl Scenario {
             let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
             scenario.bridge_lost_rows(!is_own);
         }
-        scenario.scales = RunScales::of(&scenario);
+        scenario.find_scales();
         Ok(scenario)
+    }
+
+    /// Finds the scales of the run from its signals.
+    pub fn find_scales(&mut self) {
+        self.scales = RunScales::of(self);
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long

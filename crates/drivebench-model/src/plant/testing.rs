@@ -5,9 +5,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{
-    ActiveEffect, Input, Model, Motor, MotorKey, Plant, RunScales, Scenario, State, effect,
-};
+use super::{ActiveEffect, Input, Model, Motor, MotorKey, Plant, Scenario, State, effect};
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -56,7 +54,7 @@ pub fn scaled(run: &Scenario, [voltage, current, speed, time]: [f64; 4]) -> Scen
         speed_rad_s: by(&run.speed_rad_s, speed),
         ..Scenario::planned(run.name.clone(), run.input, run.input_channel, events, times)
     };
-    scaled.scales = RunScales::of(&scaled);
+    scaled.find_scales();
     scaled
 }
 
