@@ -9,8 +9,9 @@ use crate::signal;
 /// Scales of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunScales {
-    /// Largest measured current and speed.
+    /// Stall current at the largest voltage; where a run does not determine the resistance, the largest measured current.
     pub current_a: f64,
+    /// Largest measured speed.
     pub speed_rad_s: f64,
     /// Time of response of the speed to the input: the mechanical time constant where a voltage drives.
     pub response_s: f64,
@@ -44,7 +45,7 @@ impl Measure {
     pub const fn names(self) -> (&'static str, &'static str) {
         match self {
             Self::Absolute => ("absolute", ""),
-            Self::Current => ("current", "of the run's largest current"),
+            Self::Current => ("current", "of the stall current at the run's largest voltage"),
             Self::Speed => ("speed", "of the run's largest speed"),
             Self::Response => ("response", "times of response"),
             Self::Frequency => ("frequency", "periods in a time of response"),
@@ -68,7 +69,7 @@ const LEAST_TOLERANCE: f64 = 1e-6;
 impl RunScales {
     /// The run to which the ranges of the catalogue refer: the motor of paper A at 110 V in steps.
     pub const REFERENCE: Self = Self {
-        current_a: 64.0,
+        current_a: 100.0,
         speed_rad_s: 290.0,
         response_s: 0.04,
         period_s: 4e-3,
@@ -81,12 +82,17 @@ impl RunScales {
         let length_s = times[times.len() - 1] - scenario.begin_s();
         let period_s = mean_step(times);
         let speed_rad_s = largest(&scenario.speed_rad_s);
-        let current_a = match largest(&scenario.current_a) {
+        let largest_a = match largest(&scenario.current_a) {
             none if none <= 0.0 => Self::REFERENCE.current_a,
-            current_a => current_a,
+            largest_a => largest_a,
         };
+        let intervals = intervals(scenario, [largest_a, speed_rad_s]);
+        let winding =
+            fit(&intervals, |own| ([own.current, own.speed, own.current_change], own.input))
+                .filter(|[resistance, back_emf, _]| *resistance > 0.0 && *back_emf > 0.0);
+        let current_a = winding.map_or(largest_a, |[resistance, ..]| largest_a / resistance);
         let of_length = Self::REFERENCE.response_s / Self::REFERENCE.length_s * length_s;
-        let response_s = response_s(scenario, [current_a, speed_rad_s]).unwrap_or(of_length);
+        let response_s = response_s(scenario, &intervals, winding).unwrap_or(of_length);
         // A tenth of a period is not observable, and a twentieth of the run is no response but a drift.
         let (least_s, most_s) = (0.1 * period_s, 0.05 * length_s);
         let response_s = response_s.min(most_s).max(least_s);
@@ -134,7 +140,7 @@ impl RunScales {
 
     /// Current over which a voltage drop builds up, A: 0.1 A in the run of the reference.
     pub const fn drop_a(&self) -> f64 {
-        self.current_a / 640.0
+        self.current_a / 1000.0
     }
 
     /// Time constant of the onset of an event, s: a quarter of the time of response, within which a shaft does not show a form.
@@ -199,21 +205,22 @@ fn fit<const N: usize>(
 
 /// Mechanical time constant `R J / (Ke Kt)` by least squares over intervals; without a current that of `dw/dt = a u - b w - c sgn(w)`;
 /// with a torque or a current as the input by the ratio of the speed to its rate.
-fn response_s(scenario: &Scenario, most: [f64; 2]) -> Option<f64> {
-    let intervals = intervals(scenario, most);
+fn response_s(
+    scenario: &Scenario,
+    intervals: &[Interval],
+    winding: Option<[f64; 3]>,
+) -> Option<f64> {
     let rate = if scenario.input == Input::Voltage {
-        let winding =
-            fit(&intervals, |own| ([own.current, own.speed, own.current_change], own.input));
         let shaft =
-            fit(&intervals, |own| ([own.current, own.speed, -own.direction], own.speed_change));
+            fit(intervals, |own| ([own.current, own.speed, -own.direction], own.speed_change));
         let of_both = winding.zip(shaft).map(|([r, ke, _], [per_ampere, ..])| ke * per_ampere / r);
         let lag = || {
-            fit(&intervals, |own| ([-own.speed, own.input, -own.direction], own.speed_change))
+            fit(intervals, |own| ([-own.speed, own.input, -own.direction], own.speed_change))
                 .map(|[rate, ..]| rate)
         };
         // After one step its voltage and the direction are the same column.
         let plain_lag = || {
-            fit(&intervals, |own| ([-own.speed, own.input], own.speed_change)).map(|[rate, _]| rate)
+            fit(intervals, |own| ([-own.speed, own.input], own.speed_change)).map(|[rate, _]| rate)
         };
         let rises = |rate: &f64| *rate > 0.0;
         of_both.filter(rises).or_else(|| lag().filter(rises)).or_else(plain_lag)?

@@ -30,7 +30,7 @@ pub(super) const EFFECT: Card = Card {
             "frequency_hz",
             "Hz",
             FREQUENCY_HZ,
-            &[10.0, 13.0, 17.0, 22.0, 28.0, 36.0, 48.0],
+            &[9.0, 10.5, 12.2, 14.2, 16.5, 19.2, 22.3, 26.0, 30.0, 35.0, 40.6, 47.0, 55.0],
         )
         .of(Measure::Frequency),
         INERTIA_RATIO,

@@ -9,7 +9,7 @@ pub(super) const EFFECT: Card = Card {
     id: "voltage_drop",
     name: "voltage drop",
     enters: Enters::Voltage,
-    equation: "U = Ud sgn(i), smoothed over 0.6 % of the run's largest current",
+    equation: "U = Ud sgn(i), smoothed over 0.1 % of the stall current",
     causes: "brush contact, transistor and diode drops, dead time of the inverter. Measure at the \
         terminals: a drop of the drive is seen there, that of the brushes is not. Dead time grows \
         with the bus voltage and the switching frequency, a diode's drop does not; a brush's \
