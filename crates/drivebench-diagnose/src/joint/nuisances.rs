@@ -359,8 +359,11 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     if by_voltage {
         let volts = hats(Axis::Current, 7, current, volts);
         parts.push(part("voltage over current", volts));
-        let past = torque_over_the_past(run.scenario, speed, torque);
-        parts.push(part("torque over past speed", past));
+        // A shaft that rests has no past.
+        if speed > 0.0 {
+            let past = torque_over_the_past(run.scenario, speed, torque);
+            parts.push(part("torque over past speed", past));
+        }
     }
     parts
 }
