@@ -46,8 +46,8 @@ pub enum PlantError {
     NotPhysical { key: &'static str, value: f64 },
     #[error("{VISCOUS} = {0} is not physical: it drives the shaft (allowed: 0 or more)")]
     Drives(f64),
-    #[error("{effect}.{key} = {value} is not physical (allowed: {allowed})")]
-    Outside { effect: &'static str, key: &'static str, value: f64, allowed: String },
+    #[error("{effect}.{key} = {value} is not physical (allowed: {low} to {high})")]
+    Outside { effect: &'static str, key: &'static str, value: f64, low: f64, high: f64 },
 }
 
 impl PlantError {
@@ -287,12 +287,13 @@ fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, Plant
         for (spec, value) in active.effect.parameters().iter().zip(&active.values) {
             let missing = PlantError::Missing { key: spec.key, actuator: actuator.name() };
             let value = value.ok_or(missing)?;
-            if !spec.admits(value) {
+            if !(spec.min..=spec.max).contains(&value) {
                 return Err(PlantError::Outside {
                     effect: active.id(),
                     key: spec.key,
                     value,
-                    allowed: spec.allowed(),
+                    low: spec.min,
+                    high: spec.max,
                 });
             }
         }

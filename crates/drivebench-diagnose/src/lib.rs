@@ -79,6 +79,4 @@ mod event_tests;
 #[cfg(test)]
 mod kit;
 #[cfg(test)]
-mod scale_tests;
-#[cfg(test)]
 mod tests;

@@ -478,7 +478,6 @@ mod tests {
             squares: 1000.0,
             columns: vec![],
             present: DVector::zeros(n),
-            scales: drivebench_model::plant::RunScales::REFERENCE,
         }
     }
 
