@@ -6,8 +6,9 @@ use crate::report::{Document, Tone, card_facts};
 use crate::runtime::failure::Failure;
 use crate::runtime::output::Terminal;
 use drivebench_model::config_text::help_for_unknown;
-use drivebench_model::plant::{Card, Enters, ParameterRole, ParameterSpec, effect};
+use drivebench_model::plant::{Card, Enters, Measure, ParameterRole, ParameterSpec, effect};
 use drivebench_model::text::lines::wrapped;
+use drivebench_model::text::number::with_digits;
 
 /// List the physical effects the program can name, or show one effect's card
 #[derive(clap::Args)]
@@ -59,12 +60,24 @@ fn card_json((card, parameters): Entry) -> Value {
     })
 }
 
-/// An infinite bound is null.
+/// A bound in multiples of the run's scale; infinite, it is null.
+fn bound(value: f64, spec: &ParameterSpec) -> Option<f64> {
+    (value.abs() < f64::MAX).then(|| in_scales(value, spec))
+}
+
+fn in_scales(value: f64, spec: &ParameterSpec) -> f64 {
+    match spec.of {
+        Measure::Absolute => value,
+        of => with_digits(value / of.reference(), 3),
+    }
+}
+
 fn parameter_json(spec: &ParameterSpec) -> Value {
-    let bound = |value: f64| (value.abs() < f64::MAX).then_some(value);
+    let tried: Vec<f64> = spec.shapes.iter().map(|shape| in_scales(*shape, spec)).collect();
     json!({
         "key": spec.key, "unit": spec.unit, "found_as": role(spec.role),
-        "min": bound(spec.min), "max": bound(spec.max), "tried": spec.shapes,
+        "relative_to": spec.of.names().0,
+        "min": bound(spec.min, spec), "max": bound(spec.max, spec), "tried": tried,
     })
 }
 
@@ -130,17 +143,22 @@ fn card_document((card, parameters): Entry) -> Document {
 }
 
 fn parameter_text(spec: &ParameterSpec) -> String {
-    let end = |value: f64| (value.abs() < f64::MAX).then(|| value.to_string());
+    let end = |value: f64| bound(value, spec).map(|value| value.to_string());
     let bounds = match (end(spec.min), end(spec.max)) {
         (Some(min), Some(max)) => format!("{min} to {max}"),
         (Some(min), None) => format!("{min} or more"),
         (None, _) => "any value".to_owned(),
     };
-    let tried: Vec<String> = spec.shapes.iter().map(f64::to_string).collect();
+    let tried = spec.shapes.iter().map(|shape| in_scales(*shape, spec).to_string());
+    let tried: Vec<String> = tried.collect();
+    let of = match spec.of.names().1 {
+        "" => String::new(),
+        scale => format!(" {scale}"),
+    };
     let how = match spec.role {
-        ParameterRole::Coefficient => bounds,
+        ParameterRole::Coefficient => format!("{bounds}{of}"),
         ParameterRole::Shape => {
-            format!("{bounds}; not given, it is fitted from {}", tried.join(", "))
+            format!("{bounds}{of}; not given, it is fitted from {}", tried.join(", "))
         }
         ParameterRole::Choice => {
             let (first, last) = (&tried[0], &tried[tried.len() - 1]);

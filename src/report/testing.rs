@@ -79,6 +79,7 @@ pub(crate) fn candidate(
         explained_percent: Some(100.0 * (5.1 * 5.1 - after * after) / (5.1 * 5.1 - 1.0)),
         as_good_as: None,
         upper_bound: bound,
+        searched: vec![],
         detectable: bound,
         finding: match status {
             Status::NotExcited => CandidateFinding::NotShown,

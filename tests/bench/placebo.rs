@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 use drivebench::numerics::count::whole;
 use drivebench::numerics::statistics::mean;
 use drivebench::plant::effect::{Card, Enters};
-use drivebench::plant::{Effect, Instant, ParameterRole, ParameterSpec, Scenario, Terms};
+use drivebench::plant::{Effect, Instant, Measure, ParameterRole, ParameterSpec, Scenario, Terms};
 use rand::seq::SliceRandom;
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 const PARAMETERS: &[ParameterSpec] = &[ParameterSpec {
     key: "size",
     unit: "-",
+    of: Measure::Absolute,
     min: f64::MIN,
     max: f64::MAX,
     scale: 1.0,

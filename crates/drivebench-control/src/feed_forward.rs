@@ -480,6 +480,7 @@ mod tests {
             ("inertia_change", &[1.0, 2.0]),
             ("inductance_saturation", &[0.01]),
             ("winding_heating", &[1e-4, 60.0]),
+            ("lagged_load", &[2e-6, 0.3]),
             ("speed_delay", &[0.002]),
         ] {
             let left_out = voltage(id, values);

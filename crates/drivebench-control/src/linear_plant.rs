@@ -46,8 +46,8 @@ pub enum PlantError {
     NotPhysical { key: &'static str, value: f64 },
     #[error("{VISCOUS} = {0} is not physical: it drives the shaft (allowed: 0 or more)")]
     Drives(f64),
-    #[error("{effect}.{key} = {value} is not physical (allowed: {low} to {high})")]
-    Outside { effect: &'static str, key: &'static str, value: f64, low: f64, high: f64 },
+    #[error("{effect}.{key} = {value} is not physical (allowed: {allowed})")]
+    Outside { effect: &'static str, key: &'static str, value: f64, allowed: String },
 }
 
 impl PlantError {
@@ -287,13 +287,12 @@ fn coupling(model: &Model, actuator: Actuator) -> Result<Option<Coupling>, Plant
         for (spec, value) in active.effect.parameters().iter().zip(&active.values) {
             let missing = PlantError::Missing { key: spec.key, actuator: actuator.name() };
             let value = value.ok_or(missing)?;
-            if !(spec.min..=spec.max).contains(&value) {
+            if !spec.admits(value) {
                 return Err(PlantError::Outside {
                     effect: active.id(),
                     key: spec.key,
                     value,
-                    low: spec.min,
-                    high: spec.max,
+                    allowed: spec.allowed(),
                 });
             }
         }

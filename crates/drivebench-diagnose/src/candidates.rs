@@ -1,7 +1,7 @@
 //! One candidate effect: its probability jointly with all others, its size, and the fall of the error on data that the fit has
 //! not used.
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::Floor;
@@ -16,7 +16,7 @@ use drivebench_identify::claims::{has_no_scale, is_tied};
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::verdict::judge;
 use drivebench_model::findings;
-use drivebench_model::plant::{Effect, Slot};
+use drivebench_model::plant::{Effect, ParameterRole, ParameterSpec, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason, TWO_SIDED_95};
 
 /// Probabilities from which on an effect is supported, and below which it is ruled out: one table for every output.
@@ -85,6 +85,9 @@ pub struct Candidate {
     /// Upper 95 % bound of its size, whatever else is present: its first parameter, or the amplitude of sine and cosine.
     /// Null where these runs do not show it, or where it has no size.
     pub upper_bound: Option<f64>,
+    /// Shapes of its equation that were tried in these runs, from and to, in the unit of each: nothing is known of others.
+    #[serde(serialize_with = "searched_by_key", skip_serializing_if = "Vec::is_empty")]
+    pub searched: Vec<(&'static ParameterSpec, [f64; 2])>,
     /// A size that would have been named in 95 of 100 such records.
     pub detectable: Option<f64>,
     #[serde(rename = "code")]
@@ -206,6 +209,7 @@ pub(super) fn candidates(
             as_good_as: None,
             // A named effect has an interval instead.
             upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
+            searched: searched(inferred.effect, &evidence.training),
             detectable: least.filter(|_| why_open.is_none()),
             finding: match (open, inferred.why_not) {
                 (Some(why), _) => CandidateFinding::LeftOpen(why),
@@ -229,6 +233,24 @@ pub(super) fn candidates(
         candidate
     };
     order.into_iter().enumerate().map(candidate).collect()
+}
+
+/// The shapes of an effect that a search tries in a run.
+fn searched(effect: &dyn Effect, run: &Scenario) -> Vec<(&'static ParameterSpec, [f64; 2])> {
+    let shapes = effect.parameters().iter().filter(|spec| spec.role == ParameterRole::Shape);
+    let range = |spec: &'static ParameterSpec| {
+        let mut grid = spec.in_run(&run.scales).shapes();
+        let from = grid.next()?;
+        Some((spec, [from, grid.next_back().unwrap_or(from)]))
+    };
+    shapes.filter_map(range).collect()
+}
+
+fn searched_by_key<S: Serializer>(
+    searched: &[(&'static ParameterSpec, [f64; 2])],
+    serializer: S,
+) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(searched.iter().map(|(spec, range)| (spec.key, range)))
 }
 
 /// Parameters of an event that occurred in the hold-out only.

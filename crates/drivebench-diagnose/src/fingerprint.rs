@@ -18,8 +18,6 @@ struct Settings {
     most_samples: usize,
     /// Samples below which nothing is fitted.
     fewest_samples: usize,
-    /// Length of a block of correlated residuals, s.
-    block_s: f64,
     /// Steps of Gauss-Newton at most.
     iterations: usize,
     /// Relative step of the differences.
@@ -43,7 +41,6 @@ struct Settings {
 const SETTINGS: Settings = Settings {
     most_samples: 60_000,
     fewest_samples: 100,
-    block_s: 0.25,
     iterations: 12,
     step: 1e-4,
     converged: 1e-5,
@@ -109,7 +106,8 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
         return None;
     }
     let begin_s = scenario.sample_time_s[rows[0]];
-    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / SETTINGS.block_s);
+    let block_s = scenario.scales.block_s();
+    let block = |row: &usize| whole((scenario.sample_time_s[*row] - begin_s) / block_s);
     let blocks: Vec<usize> = rows.iter().map(block).collect();
     let mut covariance = DMatrix::zeros(3, 3);
     for iteration in 0..SETTINGS.iterations {

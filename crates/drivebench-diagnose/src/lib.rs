@@ -79,4 +79,6 @@ mod event_tests;
 #[cfg(test)]
 mod kit;
 #[cfg(test)]
+mod scale_tests;
+#[cfg(test)]
 mod tests;

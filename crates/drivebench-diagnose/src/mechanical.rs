@@ -30,7 +30,7 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::{least_squares, statistics};
 use drivebench_model::plant::{
     Balance as Equation, Effect, Input, Instant, Model, ModelError, MotorKey, ParameterRole,
-    ParameterSpec, Scenario, ShaftAngle, Slot, State,
+    ParameterSpec, RunScales, Scenario, ShaftAngle, Slot, State,
 };
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal;
@@ -391,10 +391,10 @@ fn span_s(rows: &TorqueRows) -> f64 {
 }
 
 /// Shares of the rows' span as times since the run's first command.
-fn event_times<'a>(shares: &'a [f64], rows: &'a TorqueRows) -> impl Iterator<Item = f64> + 'a {
-    rows.time_s.first().zip(rows.time_s.last()).into_iter().flat_map(move |(first, last)| {
-        shares.iter().map(move |share| first - rows.begin_s + share * (last - first))
-    })
+fn event_times(spec: &ParameterSpec, rows: &TorqueRows) -> impl Iterator<Item = f64> + use<> {
+    let first_s = rows.time_s.first().map_or(0.0, |first_s| first_s - rows.begin_s);
+    let of_rows = RunScales { length_s: span_s(rows), ..rows.scales };
+    spec.in_run(&of_rows).shapes().map(move |time_s| first_s + time_s)
 }
 
 /// The model with every time of an event estimated anew from these rows.
@@ -410,7 +410,7 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
             let pairs = rows.left.iter().zip(predicted(&model, rows));
             pairs.map(|(left, sum)| (left - sum).powi(2)).sum()
         };
-        let tried = event_times(spec.shapes, rows).chain(given);
+        let tried = event_times(spec, rows).chain(given);
         let tried: Vec<(f64, f64)> = tried.map(|time_s| (cost_at(time_s), time_s)).collect();
         let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
         let Some((mut least, mut best_s)) = best else {
@@ -499,12 +499,13 @@ fn cost(model: &Model, rows: &TorqueRows) -> f64 {
 fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
+            let middle = spec.shapes.len() / 2;
             let start = if spec.role == ParameterRole::EventTime {
-                event_times(&[0.5], rows).next().unwrap_or(0.0)
+                event_times(spec, rows).nth(middle)
             } else {
-                spec.guess()
+                None
             };
-            model.set(slot, start);
+            model.set(slot, start.unwrap_or(spec.in_run(&rows.scales).guess));
         }
     }
     let mut best = cost(model, rows);
@@ -515,15 +516,16 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
                 continue;
             };
             for direction in [1.0, -1.0] {
-                let here = model.get(slot).unwrap_or_else(|| spec.guess());
+                let range = spec.in_run(&rows.scales);
+                let here = model.get(slot).unwrap_or(range.guess);
                 let there = if spec.role == ParameterRole::EventTime {
                     here + direction * step * span_s(rows) / SETTINGS.parts_of_span
                 } else if spec.logarithmic {
                     here * (direction * step * SETTINGS.first_step).exp()
                 } else {
-                    here + direction * step * spec.scale
+                    here + direction * step * range.scale
                 };
-                model.set(slot, there.clamp(spec.min, spec.max));
+                model.set(slot, there.clamp(range.min, range.max));
                 let found = cost(model, rows);
                 if found < best {
                     best = found;

@@ -76,8 +76,9 @@ pub(super) fn of_fit(fit: &Fitted, effect: &'static dyn Effect, run: &Scenario) 
         let mut moved = values.clone();
         // At the upper bound the step is downwards.
         let upwards = values[index] + std;
-        let stepped = if upwards <= spec.max { upwards } else { values[index] - std };
-        moved[index] = stepped.max(spec.min);
+        let range = spec.in_run(&run.scales);
+        let stepped = if upwards <= range.max { upwards } else { values[index] - std };
+        moved[index] = stepped.max(range.min);
         let at_step = along.sizes(&moved).unwrap_or(sizes);
         for k in 0..4 {
             variances[k] += (at_step[k] - sizes[k]).powi(2);
@@ -163,16 +164,14 @@ impl<'a> FreeRun<'a> {
     /// The largest torque and voltage of the terms.
     fn along(&self, values: &[f64]) -> Sizes {
         let terms = self.effect.terms(values);
-        let motor = Instant::of(&self.model.motor);
+        let motor = Instant::of(&self.model.motor).in_run(self.run);
         let inertia = self.model.motor.get(MotorKey::Inertia).unwrap_or(0.0);
         let angles = self.run.shaft_angle();
         let mut angles = angles.iter().peekable();
         let mut angle_rad = 0.0;
         let mut events = self.run.events.iter().peekable();
         let mut voltage_v = 0.0;
-        let supply_v = self.run.supply_v();
         let mut own = vec![0.0; terms.states()];
-        let mut rate = own.clone();
         let (mut last_s, mut last_rad_s) = (self.run.begin_s(), self.start.speed_rad_s);
         let (mut torque, mut voltage) = (0.0_f64, 0.0_f64);
         for (sample, &time_s) in self.run.sample_time_s.iter().enumerate() {
@@ -185,7 +184,6 @@ impl<'a> FreeRun<'a> {
             let at = Instant {
                 time_s: time_s - self.run.begin_s(),
                 voltage_v,
-                supply_v,
                 current_a: self.with.current_a[sample],
                 speed_rad_s: self.with.speed_rad_s[sample],
                 angle: ShaftAngle::at(angle_rad),
@@ -193,10 +191,7 @@ impl<'a> FreeRun<'a> {
             };
             let interval_s = time_s - last_s;
             if !own.is_empty() && interval_s > 0.0 {
-                terms.derivative(&at, &own, &mut rate);
-                for (state, rate) in own.iter_mut().zip(&rate) {
-                    *state += rate * interval_s;
-                }
+                terms.advance(&at, &mut own, interval_s);
             }
             let acceleration = (at.speed_rad_s - last_rad_s) / interval_s;
             let acceleration = if interval_s > 0.0 { acceleration } else { 0.0 };

@@ -1,11 +1,13 @@
 //! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
 //! are diagnosed in `tests/`.
 
-use super::kit::{evidence, nameplate, names, record, truth, with};
+use super::kit::{evidence, held, nameplate, names, record, truth, with};
 use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
-use drivebench_model::plant::{Model, MotorKey, Scenario, effect, testing};
+use drivebench_model::plant::{
+    ActiveEffect, Card, Enters, Instant, Model, MotorKey, Scenario, Terms, effect, testing,
+};
 
 /// Whether a size is the true one but for its uncertainty.
 fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
@@ -18,6 +20,8 @@ fn is_of_size(candidate: &Candidate, truth: f64) -> bool {
 fn a_single_effect_is_named_and_reduces_the_error_to_the_floor() {
     for (id, values) in [
         ("quadratic_load", &[2e-6][..]),
+        ("lagged_load", &[3e-6, 0.4]),
+        ("lagged_drag", &[8e-4, 0.15]),
         ("stribeck_friction", &[0.12, 9.0]),
         ("voltage_drop", &[0.9]),
         ("constant_load", &[0.06]),
@@ -30,6 +34,43 @@ fn a_single_effect_is_named_and_reduces_the_error_to_the_floor() {
         assert_eq!((first.effect, first.status), (id, Status::Supported));
         assert!(is_of_size(first, values[0]), "{first:?} of {}", values[0]);
     }
+}
+
+/// Friction that rises while the shaft is slow, and falls while it turns: an effect that the catalogue does not have.
+struct Dwell;
+
+impl Terms for Dwell {
+    fn torque_n_m(&self, at: &Instant, own: &[f64]) -> f64 {
+        0.3 * own[0] * (at.speed_rad_s / 2.0).tanh()
+    }
+
+    fn states(&self) -> usize {
+        1
+    }
+
+    fn derivative(&self, at: &Instant, own: &[f64], out: &mut [f64]) {
+        out[0] = ((-(at.speed_rad_s / 15.0).powi(2)).exp() - own[0]) / 0.5;
+    }
+}
+
+#[test]
+fn an_unknown_memory_is_left_unexplained_and_nothing_false_is_named() {
+    static EFFECT: Card =
+        Card { id: "dwell", enters: Enters::Torque, terms: |_| Box::new(Dwell), ..Card::PLAIN };
+    let mut machine = nameplate();
+    machine.effects.push(ActiveEffect::with(&EFFECT, &[]));
+    let run = |turn: usize, seed: u64| {
+        let mut levels_v = [50.0, 0.0, -50.0, 0.0, 90.0, 5.0, -90.0, -4.0, 30.0, 0.0, 70.0, -30.0];
+        levels_v.rotate_left(5 * turn);
+        let levels_v = [levels_v, levels_v.map(|level_v| 0.8 * level_v)].concat();
+        testing::record(&machine, held(&levels_v, 0.5), 0.004, 12.5, seed)
+    };
+    let data = Evidence::new(run(1, 1), Some(run(2, 2)), None);
+    let found = diagnose(&nameplate(), data).unwrap();
+    assert_eq!(found.answer(), Answer::Unexplained, "{:?}", found.effects);
+    assert!(found.effects.is_empty() && !found.sufficient, "{:?}", found.effects);
+    let kinds: Vec<UnknownKind> = found.unknown.iter().map(|own| own.kind).collect();
+    assert_eq!(kinds, [UnknownKind::TorqueOverPastSpeed], "{:?}", found.unknown);
 }
 
 #[test]

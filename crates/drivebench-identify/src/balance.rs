@@ -15,7 +15,7 @@ use super::inverse_dynamics::Processing;
 use drivebench_model::findings;
 use drivebench_model::plant::effect::Sums;
 use drivebench_model::plant::{
-    ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, Scenario, Slot,
+    ActiveEffect, Balance, Input, Instant, Model, Motor, MotorKey, RunScales, Scenario, Slot,
 };
 use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::text::number::with_std;
@@ -249,6 +249,7 @@ pub struct TorqueRows {
     pub at: Vec<Instant>,
     /// The run's first command, on the run's clock: times of events count from there.
     pub begin_s: f64,
+    pub scales: RunScales,
     /// Middle of each row, on the run's clock.
     pub time_s: Vec<f64>,
     /// Motor torque, N.m.

@@ -150,15 +150,11 @@ impl<'a> Trial<'a> {
 
     /// Values with free coefficients at zero.
     fn combinations(&self, given: &Model, active: &ActiveEffect) -> Vec<Vec<f64>> {
-        let times = &self.scenario.sample_time_s;
-        let length_s = times[times.len() - 1] - self.scenario.begin_s();
         let mut grid = vec![Vec::new()];
         for (index, spec) in active.effect.parameters().iter().enumerate() {
             let value = active.values[index];
             let mut values = if is_searched(given, active, index) {
-                let is_event = spec.role == ParameterRole::EventTime;
-                let unit = if is_event { length_s } else { 1.0 };
-                spec.shapes.iter().map(|shape| shape * unit).collect()
+                spec.in_run(&self.scenario.scales).shapes().collect()
             } else if is_free_coefficient(given, active, index) {
                 vec![0.0]
             } else {
@@ -214,8 +210,9 @@ impl<'a> Trial<'a> {
             found.values[index] = Some(*value);
         }
         for (column, index) in free.iter().enumerate() {
-            let spec = &specs[*index];
-            found.values[*index] = Some((-solution[of_motor + column]).clamp(spec.min, spec.max));
+            let range = specs[*index].in_run(&self.scenario.scales);
+            let value = -solution[of_motor + column];
+            found.values[*index] = Some(value.clamp(range.min, range.max));
         }
         let cost: f64 = self.residual.iter().map(|r| r * r).sum();
         Ok(Tried { active: found, gain: cost - (before.norm_squared() - explained) })

@@ -10,7 +10,6 @@
 use nalgebra::DVector;
 
 use super::misfit::lasting;
-use super::output_error::BLOCK_S;
 use super::verdict::SETTLED;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares::{clustered, inverse_where_determined};
@@ -257,8 +256,9 @@ impl<'a> Refined<'a> {
         found.left_rad_s = (minimum.cost / problem.rows as f64).sqrt();
         let (bread, determined) = inverse_where_determined(&minimum.jacobian);
         let known = (run.scored.clone()).filter(|sample| run.speed_rad_s[*sample].is_finite());
+        let block_s = run.scales.block_s();
         let blocks: Vec<usize> = known
-            .map(|sample| whole((run.sample_time_s[sample] - run.begin_s()).max(0.0) / BLOCK_S))
+            .map(|sample| whole((run.sample_time_s[sample] - run.begin_s()).max(0.0) / block_s))
             .collect();
         let residual = DVector::from_column_slice(&minimum.residual);
         // A misfit along the whole run widens the intervals as for any other model.

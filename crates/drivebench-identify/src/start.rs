@@ -4,7 +4,7 @@
 use super::first_order::FirstOrder;
 use super::output_error::FitError;
 use super::weak_form;
-use super::window_sums::{Sums, windows};
+use super::window_sums::{Sums, WINDOW_RESPONSES, windows};
 use drivebench_model::numerics::least_squares::solve_rows;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, ModelError, MotorKey, Scenario};
@@ -101,7 +101,8 @@ fn integrals(scenario: &Scenario) -> Vec<Sums> {
     let current = between(times, &scenario.current_a);
     let speed = between(times, &scenario.speed_rad_s);
     let dead_zone_rad_s = 0.01 * largest(&speed);
-    let windows = windows(times).into_iter().map(|window| {
+    let window_s = scenario.scales.responses(WINDOW_RESPONSES);
+    let windows = windows(times, window_s).into_iter().map(|window| {
         let voltage = signal::integral(&scenario.events, times[window.start], times[window.end]);
         Sums::over(&window, times, voltage, [&current, &speed], dead_zone_rad_s)
     });

@@ -21,7 +21,6 @@ use super::balance::{
     why_no_regressor,
 };
 use super::noise::{NoiseFloor, roughness};
-use super::output_error::BLOCK_S;
 use super::verdict::judge;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest_but_outliers;
@@ -33,8 +32,9 @@ use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
 
 struct Settings {
-    /// Half length of the windows of the torque balance, s.
-    torque_half_s: f64,
+    /// Half lengths of the windows of both balances, in times of response.
+    voltage_half_responses: f64,
+    torque_half_responses: f64,
     /// Fewest samples of a half window.
     fewest_half: usize,
     /// Change by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
@@ -43,8 +43,13 @@ struct Settings {
     least_signal: f64,
 }
 
-const SETTINGS: Settings =
-    Settings { torque_half_s: 0.03, fewest_half: 4, sampling_order: 1.5, least_signal: 4.0 };
+const SETTINGS: Settings = Settings {
+    voltage_half_responses: 0.3,
+    torque_half_responses: 0.75,
+    fewest_half: 4,
+    sampling_order: 1.5,
+    least_signal: 4.0,
+};
 
 /// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
@@ -89,10 +94,11 @@ fn balance(model: &Model, scenario: &Scenario, equation: Balance, left_deviation
     let noise = Noise::of(scenario);
     let system = System::new(model, scenario, equation, half, &noise);
     let begin_s = scenario.sample_time_s[0];
-    let solution = system.solve(begin_s);
+    let block_s = scenario.scales.block_s();
+    let solution = system.solve(begin_s, block_s);
     // The same windows in time with half of the samples.
     let (thin, thin_half) = (thinned(scenario), (half / 2).max(2));
-    let coarse = System::new(model, &thin, equation, thin_half, &noise).solve(begin_s);
+    let coarse = System::new(model, &thin, equation, thin_half, &noise).solve(begin_s, block_s);
     let period_s = statistics::mean_step(&scenario.sample_time_s);
     let errors = (solution.as_ref()).map(|it| (it, system.errors(it, coarse.as_ref(), &noise)));
     let mut columns = 0..;
@@ -188,11 +194,10 @@ impl System {
         let at = |sample: usize| Instant {
             time_s: scenario.sample_time_s[sample] - scenario.begin_s(),
             voltage_v: voltages[sample],
-            supply_v: scenario.supply_v(),
             current_a: scenario.current_a[sample],
             speed_rad_s: scenario.speed_rad_s[sample],
             angle: ShaftAngle::at(angle[sample]),
-            ..Instant::of(&model.motor)
+            ..Instant::of(&model.motor).in_run(scenario)
         };
         let signals = Signals {
             model,
@@ -247,8 +252,8 @@ impl System {
         }
     }
 
-    fn solve(&self, begin_s: f64) -> Option<least_squares::Solution> {
-        let block = |window: &Window| whole((window.middle_s - begin_s) / BLOCK_S);
+    fn solve(&self, begin_s: f64, block_s: f64) -> Option<least_squares::Solution> {
+        let block = |window: &Window| whole((window.middle_s - begin_s) / block_s);
         let blocks: Vec<usize> = self.windows.iter().map(block).collect();
         least_squares::solve(&self.matrix, &self.right, &blocks)
     }
@@ -332,10 +337,11 @@ fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
 fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     let period_s = statistics::mean_step(&scenario.sample_time_s);
     // The armature circuit is faster than the shaft.
-    let half_s = match equation {
-        Balance::Voltage => 0.012,
-        Balance::Torque => SETTINGS.torque_half_s,
+    let responses = match equation {
+        Balance::Voltage => SETTINGS.voltage_half_responses,
+        Balance::Torque => SETTINGS.torque_half_responses,
     };
+    let half_s = scenario.scales.responses(responses);
     whole((half_s / period_s).round()).max(SETTINGS.fewest_half)
 }
 
@@ -449,7 +455,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         return None;
     }
     let period_s = statistics::median_step(&times);
-    let half = whole((SETTINGS.torque_half_s / period_s).round()).max(SETTINGS.fewest_half);
+    let half_s = scenario.scales.responses(SETTINGS.torque_half_responses);
+    let half = whole((half_s / period_s).round()).max(SETTINGS.fewest_half);
     let nominal_s = 2.0 * half as f64 * period_s;
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
     // Windows over the samples that have a speed.
@@ -488,6 +495,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         method: Method::WeakForm,
         derivation: Derivation::WeakForm { window_s: nominal_s, dead_zone_rad_s },
         begin_s: scenario.begin_s(),
+        scales: scenario.scales,
         time_s,
         left: lefts,
         inertia,
@@ -512,7 +520,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
     let step_s = statistics::median_step(&commanded_s);
     let longest_gap_s = if step_s.is_finite() { 5.0 * step_s } else { 0.0 };
     let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
-    let constants = Instant::of(&model.motor);
+    let constants = Instant::of(&model.motor).in_run(scenario);
     let (mut at, mut left) = (Vec::new(), Vec::new());
     for (sample, &time_s) in scenario.sample_time_s.iter().enumerate() {
         let speed_rad_s = scenario.speed_rad_s[sample];

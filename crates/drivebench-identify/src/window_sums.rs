@@ -8,9 +8,12 @@ use std::ops::Range;
 
 use drivebench_model::numerics::statistics::median_step;
 
-/// First and last row of each window of 30 ms, or of three samples at least.
-pub(super) fn windows(times: &[f64]) -> Vec<Range<usize>> {
-    let (window_s, fewest) = (0.03, 3);
+/// Length of a window, in times of response.
+pub(super) const WINDOW_RESPONSES: f64 = 0.75;
+
+/// First and last row of each window of this length, or of three samples at least.
+pub(super) fn windows(times: &[f64], window_s: f64) -> Vec<Range<usize>> {
+    let fewest = 3;
     let mut windows = Vec::new();
     // No window contains a pause, in which the signals are not known: its integral would dominate all others.
     let longest_s = f64::max(window_s, 3.0 * median_step(times));
@@ -85,10 +88,10 @@ mod tests {
             .filter(|row| !(400..800).contains(row))
             .map(|row| 1e-3 * f64::from(row))
             .collect();
-        let found = windows(&times);
+        let found = windows(&times, 0.03);
         let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
         assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));
         let slow: Vec<f64> = (0..100).map(|row| 0.1 * f64::from(row)).collect();
-        assert!(windows(&slow).len() > 40);
+        assert!(windows(&slow, 0.03).len() > 40);
     }
 }

@@ -78,7 +78,7 @@ fn defined() -> Model {
 fn few() -> Vec<(String, Model)> {
     let sets: [&[&str]; 3] = [
         &[],
-        &["stribeck_friction", "quadratic_load", "cogging", "inertia_change", "speed_filter"],
+        &["stribeck_friction", "lagged_load", "cogging", "inertia_change", "speed_filter"],
         &[
             "voltage_drop",
             "winding_heating",

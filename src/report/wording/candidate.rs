@@ -6,7 +6,7 @@ use drivebench_diagnose::{
     Candidate, CandidateFinding, HoldoutFrom, Onset, Peak, RunOf, Status, VetoReason,
     WhyUnexplained,
 };
-use drivebench_model::plant::{Effect, effect};
+use drivebench_model::plant::{Effect, ParameterSpec, effect};
 use drivebench_model::text::number::{probability, significant, with_std, with_unit};
 use std::fmt::Write as _;
 
@@ -54,10 +54,11 @@ pub fn evidence(own: &Candidate) -> String {
             )
         }
         CandidateFinding::RuledOut => format!(
-            "{name} has a probability of {percent}{}{}",
+            "{name} has a probability of {percent}{}{}{}",
             most(own.upper_bound),
             size(own.detectable)
-                .map_or_else(String::new, |least| format!("; {least} would have shown"))
+                .map_or_else(String::new, |least| format!("; {least} would have shown")),
+            searched(own)
         ),
         CandidateFinding::MayBeThere { upper_bound } => {
             format!("{name} is possible, with a probability of {percent}{}", most(upper_bound))
@@ -197,6 +198,17 @@ pub fn peak(peak: &Peak, deviations: f64) -> String {
         format!(", {} % of the largest", significant(percent, 2))
     });
     format!("up to {size} {} in this run{share}", peak.unit)
+}
+
+/// The ranges of the shapes that were tried.
+fn searched(own: &Candidate) -> String {
+    let range = |(spec, [from, to]): &(&ParameterSpec, [f64; 2])| {
+        let [from, to] = [from, to].map(|end| significant(*end, 2));
+        let range = if from == to { from } else { format!("{from} to {to}") };
+        format!("{} {}", spec.key, with_unit(&range, spec.unit))
+    };
+    let ranges: Vec<String> = own.searched.iter().map(range).collect();
+    if ranges.is_empty() { String::new() } else { format!("; tried with {}", ranges.join(", ")) }
 }
 
 #[cfg(test)]

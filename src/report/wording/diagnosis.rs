@@ -225,6 +225,7 @@ pub fn unknown(part: &Unknown) -> String {
         UnknownKind::TorqueOverAngle => "the angle of the shaft",
         UnknownKind::VoltageOverCurrent => "the current",
         UnknownKind::TorqueOverSpeed => "the speed",
+        UnknownKind::TorqueOverPastSpeed => "the past of the speed",
     };
     let percent = 100.0 * part.share_of_error;
     format!("{percent:.0} % of the error: an unknown {} that follows {axis}", part.equation)

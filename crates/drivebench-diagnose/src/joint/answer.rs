@@ -71,6 +71,7 @@ findings! {
         TorqueOverAngle = "unknown_torque_over_angle",
         VoltageOverCurrent = "unknown_voltage_over_current",
         TorqueOverSpeed = "unknown_torque_over_speed",
+        TorqueOverPastSpeed = "unknown_torque_over_past_speed",
     }
 }
 
@@ -307,7 +308,7 @@ pub(crate) fn infer(
     let rivals = confusable(&found);
     share_among_events(&mut effects, &rivals);
     let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
-    if let Some(pair) = at_limit(&found.hypothesis.model) {
+    if let Some(pair) = at_limit(&found.hypothesis.model, &runs[0]) {
         share_at_limit(pair, &mut effects, &mut confusable);
     }
     let probability = |id: &str| {
@@ -385,6 +386,9 @@ fn unknown_parts(candidates: &[Candidate], probability: &[f64], shares: &[f64]) 
             let (equation, follows, kind) = match candidate.id {
                 "torque over angle" => ("torque", "angle_rad", UnknownKind::TorqueOverAngle),
                 "voltage over current" => ("voltage", "current_a", UnknownKind::VoltageOverCurrent),
+                "torque over past speed" => {
+                    ("torque", "past_speed_rad_s", UnknownKind::TorqueOverPastSpeed)
+                }
                 _ => ("torque", "speed_rad_s", UnknownKind::TorqueOverSpeed),
             };
             Unknown { equation, follows, probability: *probability, share_of_error: *share, kind }

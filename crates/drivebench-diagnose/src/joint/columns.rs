@@ -14,7 +14,7 @@ use super::tangent::{self, LANES, Tangent};
 use super::whitened::Whitened;
 use drivebench_model::plant::effect::Axis;
 use drivebench_model::plant::{
-    ActiveEffect, Balance, Effect, Input, Model, ParameterRole, ParameterSpec, Scenario,
+    ActiveEffect, Balance, Effect, Enters, Input, Model, ParameterRole, ParameterSpec, Scenario,
     typical_size,
 };
 
@@ -42,7 +42,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
             // The prior of a shape's logarithm: a factor of two.
             0.7 * values[index]
         } else {
-            spec.scale
+            spec.in_run(&scenario.scales).scale
         };
         let (present, share) = if is_size { (values[index] / unit, 0.02) } else { (0.0, 0.01) };
         let step = share * unit;
@@ -84,7 +84,7 @@ fn not_in_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
     for shape in grid {
         let mut limit = card.limit.iter();
         let periods = order.map_or(1.0, |order| shape[order]);
-        if limit.any(|limit| shape[limit.parameter] < limit.least)
+        if limit.any(|limit| shape[limit.parameter] < limit.least_in(effect, scenario))
             || (card.needs_angle && !resolves_wave(effect, scenario, periods))
         {
             continue;
@@ -114,20 +114,18 @@ fn not_in_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario)
 /// Every combination of the grids of an effect's shapes, choices and event times; its coefficients at zero.
 fn shape_grid(effect: &dyn Effect, training: &Scenario) -> Vec<Vec<f64>> {
     let specs = effect.parameters();
-    let length_s = training.sample_time_s[training.samples() - 1] - training.begin_s();
     let mut grid = vec![vec![0.0; specs.len()]];
     for (index, spec) in specs.iter().enumerate() {
         if spec.is_coefficient() {
             continue;
         }
-        let is_time = spec.role == ParameterRole::EventTime;
-        let unit = if is_time { length_s } else { 1.0 };
         let with = |values: &Vec<f64>, shape: f64| {
             let mut values = values.clone();
-            values[index] = shape * unit;
+            values[index] = shape;
             values
         };
-        let shapes = |values| spec.shapes.iter().map(move |shape| with(values, *shape));
+        let range = spec.in_run(&training.scales);
+        let shapes = |values| range.shapes().map(move |shape| with(values, shape));
         grid = grid.iter().flat_map(shapes).collect();
     }
     grid
@@ -304,17 +302,28 @@ fn assemble(
     let shift = &gram * &present;
     squares += 2.0 * right.dot(&present) + present.dot(&shift);
     right += shift;
-    Linear { nuisances, candidates, gram, right, squares, columns, present }
+    let scales = runs[0].scenario.scales;
+    Linear { nuisances, candidates, gram, right, squares, columns, present, scales }
+}
+
+/// Whether the effect is a torque with a state of its own.
+fn depends_on_the_past(effect: &dyn Effect) -> bool {
+    let guesses: Vec<f64> = effect.parameters().iter().map(ParameterSpec::guess).collect();
+    effect.card().enters == Enters::Torque && effect.terms(&guesses).states() > 0
 }
 
 /// Candidates that exclude each other: alternatives of one family, and under a voltage an unknown curve and an effect over the
 /// same axis. A torque's own curve is what a run is made of: there what is unknown stands beside the effects, not for them.
 fn exclusions(candidates: &mut [Candidate], input: Input) {
     let curve = |c: &Candidate| match c.id {
-        "torque over speed" => Some((Balance::Torque, Axis::Speed)),
-        "torque over angle" => Some((Balance::Torque, Axis::Angle)),
-        "voltage over current" => Some((Balance::Voltage, Axis::Current)),
-        _ => c.effect.and_then(|effect| effect.card().curve),
+        "torque over speed" => Some((Balance::Torque, Some(Axis::Speed))),
+        "torque over angle" => Some((Balance::Torque, Some(Axis::Angle))),
+        "torque over past speed" => Some((Balance::Torque, None)),
+        "voltage over current" => Some((Balance::Voltage, Some(Axis::Current))),
+        _ => c.effect.and_then(|effect| {
+            let own = effect.card().curve.map(|(balance, axis)| (balance, Some(axis)));
+            own.or_else(|| depends_on_the_past(effect).then_some((Balance::Torque, None)))
+        }),
     };
     let names = |a: &Candidate, b: &Candidate| {
         a.effect.map(Effect::card).is_some_and(|card| {

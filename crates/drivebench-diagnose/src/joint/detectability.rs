@@ -111,13 +111,13 @@ fn distances_of_lengths(reduced: &Reduced, best: &Set, k: usize) -> Option<Vec<(
     if candidate.in_model || !candidate.has_fixed_size() {
         return None;
     }
-    let distance = |length_s: &f64| {
+    let distance = |length_s: f64| {
         let mut forms = candidate.variants.iter();
         let own = forms.find(|form| form.values[0].to_bits() == length_s.to_bits());
         let square = own.map(|form| fixed_size_distance(reduced, best, k, form));
-        (*length_s, square.unwrap_or(f64::INFINITY))
+        (length_s, square.unwrap_or(f64::INFINITY))
     };
-    Some(length.shapes.iter().map(distance).collect())
+    Some(length.in_run(&reduced.linear.scales).shapes().map(distance).collect())
 }
 
 /// Shortest start delay from which on all lengths would have been detected.

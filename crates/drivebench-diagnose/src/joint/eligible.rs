@@ -17,7 +17,7 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     let guess = effect.parameters().iter().map(ParameterSpec::guess);
     let terms = effect.terms(&guess.collect::<Vec<f64>>());
     let acts_at_restarts = terms.path().restart_delay_s > 0.0;
-    if acts_at_restarts && starts_from_rest(&scenario.events).len() < 2 {
+    if acts_at_restarts && starts_from_rest(&scenario.events, scenario.scales.rest_s()).len() < 2 {
         return Some("the run starts from rest once at most: there it is a start delay");
     }
     if scenario.input == Input::Voltage {
@@ -43,7 +43,9 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
         );
     }
     if terms.coupling().is_some() || terms.states() > 0 {
-        return Some("a second inertia is no term of the torque balance: record the voltage too");
+        return Some(
+            "a second inertia or a state is no term of the torque balance: record the voltage too",
+        );
     }
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");

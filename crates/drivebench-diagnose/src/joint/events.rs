@@ -19,14 +19,14 @@ use drivebench_model::plant::{
     ActiveEffect, Effect, Model, ParameterRole, ParameterSpec, Path, Scenario, Terms, typical_size,
 };
 
-/// Longest rise of an event's onset before its nominal time, s: before, its column is zero.
-const LEAD_S: f64 = 0.4;
+/// Longest rise of an event's onset before its nominal time, in time constants of onsets: before, its column is zero.
+const LEAD_ONSETS: f64 = 40.0;
 /// Weights before, at and after the event time of a slower (or, negative, faster) onset, at one standard deviation.
 const SLOWER: [f64; 3] = [0.5, -1.0, 0.5];
-/// Errors of the form of an onset: weights, and the distance before and after the event time, s. Shifted by 0.01 s, and spread over
-/// 0.01 to 1.6 s because the rate of rise is not known: a slow rise would otherwise be taken for a change of friction.
+/// Errors of the form of an onset: weights, and the distance before and after the event time, in time constants of onsets. Shifted by
+/// one, and spread over 1 to 160 (four to forty times of response) because the rate of rise is not known: a slow rise would otherwise be taken for a change of friction.
 const ONSETS: [([f64; 3], f64); 5] =
-    [([0.5, 0.0, -0.5], 0.01), (SLOWER, 0.01), (SLOWER, 0.1), (SLOWER, 0.4), (SLOWER, 1.6)];
+    [([0.5, 0.0, -0.5], 1.0), (SLOWER, 1.0), (SLOWER, 10.0), (SLOWER, 40.0), (SLOWER, 160.0)];
 
 /// An event of one run.
 #[derive(Clone)]
@@ -68,26 +68,30 @@ impl Event {
     }
 
     /// Tangent of an error of its onset's form.
-    fn onset(&self, (weights, around_s): ([f64; 3], f64)) -> Tangent {
+    fn onset(&self, (weights, around): ([f64; 3], f64), onset_s: f64) -> Tangent {
+        let around_s = around * onset_s;
         let parts = [-around_s, 0.0, around_s].into_iter().zip(weights);
         let terms_at = |after_s| self.terms_at(self.time_s() + after_s);
         Tangent::Event {
             parts: parts.map(|(after_s, weight)| (weight, terms_at(after_s))).collect(),
-            begins_s: self.time_s() - around_s - LEAD_S,
+            begins_s: self.time_s() - around_s - LEAD_ONSETS * onset_s,
         }
     }
 
     /// Tangent of `unit` of its size at its time; `None` where it acts in the path and is no forcing.
-    pub(super) fn slope(&self, unit: f64) -> Option<Tangent> {
+    pub(super) fn slope(&self, unit: f64, onset_s: f64) -> Option<Tangent> {
         let acts = self.effect.terms(&self.values).path() == Path::default();
-        acts.then(|| self.tangent(unit, self.time_s()))
+        acts.then(|| self.tangent(unit, self.time_s(), onset_s))
     }
 
     /// Tangent of a slab of it at another time.
-    fn tangent(&self, slab: f64, time_s: f64) -> Tangent {
+    fn tangent(&self, slab: f64, time_s: f64, onset_s: f64) -> Tangent {
         let mut there = self.clone();
         there.values[self.effect.size_index()] = slab;
-        Tangent::Event { parts: vec![(1.0, there.terms_at(time_s))], begins_s: time_s - LEAD_S }
+        Tangent::Event {
+            parts: vec![(1.0, there.terms_at(time_s))],
+            begins_s: time_s - LEAD_ONSETS * onset_s,
+        }
     }
 }
 
@@ -192,6 +196,7 @@ pub(super) fn parts(
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
     let slab = |run: usize| SLAB * typical_size(effect, size, model, runs[run].scenario);
+    let onset_s = |run: usize| runs[run].scenario.scales.onset_s();
     // The column of an event whose size is so many slabs.
     let add = |form: &mut Form, event: &Event, present: f64| {
         let (unit, time_s) = (slab(event.run), event.time_s());
@@ -199,7 +204,8 @@ pub(super) fn parts(
             event_time: Some((event.run, time_s)),
             ..Column::of(Some(size), unit, present / unit)
         };
-        form.column(Source::In(event.run, event.tangent(unit, time_s)), column);
+        let tangent = event.tangent(unit, time_s, onset_s(event.run));
+        form.column(Source::In(event.run, tangent), column);
     };
     let is_own = |event: &&Event| event.id() == id && event.run < runs.len();
     let own: Vec<&Event> = hypothesis.events.iter().filter(is_own).collect();
@@ -216,7 +222,8 @@ pub(super) fn parts(
             add(&mut form, event, event.values[size]);
         }
         for (event, onset) in own.iter().flat_map(|event| ONSETS.map(|onset| (event, onset))) {
-            form.column(Source::In(event.run, event.onset(onset)), Column::default());
+            let onset = event.onset(onset, onset_s(event.run));
+            form.column(Source::In(event.run, onset), Column::default());
         }
         part.push(form);
         parts.push(part);
@@ -368,7 +375,8 @@ impl Search<'_> {
     /// Log evidence of the event at each of these times.
     fn gains(&self, times_s: &[f64]) -> Vec<f64> {
         let gains = |some: &[f64]| -> Vec<f64> {
-            let tangent = |time_s: &f64| self.event.tangent(self.slab, *time_s);
+            let onset_s = self.run.scenario.scales.onset_s();
+            let tangent = |time_s: &f64| self.event.tangent(self.slab, *time_s, onset_s);
             let tangents: Vec<Tangent> = some.iter().map(tangent).collect();
             let tangents: Vec<&Tangent> = tangents.iter().collect();
             let mut products: Vec<Lane> = vec![[0.0; LANES]; self.columns.len() + 3];

@@ -47,10 +47,17 @@ pub(super) struct Dynamics {
     pub(super) per_input: [f64; 2],
     /// Correlation time of that error, s; zero where it is white.
     input_s: f64,
+    /// Correlation time of the error of a coupling's form, s.
+    ringing_s: f64,
 }
 
+/// The two correlation times, in times of response: a winding that warms or a bus that sags is slower than the shaft, and an
+/// oscillation has a period of a quarter of it.
+const INPUT_RESPONSES: f64 = 1.25;
+const RINGING_RESPONSES: f64 = 0.25;
+
 impl Dynamics {
-    pub(super) fn of(model: &Model, input: Input) -> Option<Self> {
+    pub(super) fn of(model: &Model, scenario: &Scenario) -> Option<Self> {
         let value = |key| model.motor.get(key);
         let inertia = value(MotorKey::Inertia)?;
         let mut dynamics = Self {
@@ -60,15 +67,16 @@ impl Dynamics {
             inverse_inductance: 0.0,
             per_input: [0.0, 1.0 / inertia],
             input_s: 0.0,
+            ringing_s: scenario.scales.responses(RINGING_RESPONSES),
         };
-        if input == Input::Voltage {
+        if scenario.input == Input::Voltage {
             let (r, l) = (value(MotorKey::Resistance)?, value(MotorKey::Inductance)?);
             let (ke, kt) = (value(MotorKey::BackEmf)?, model.motor.torque_constant()?);
             dynamics.moving = LinearPart::new(&[[-r / l, -ke / l], [kt / inertia, 0.0]]);
             dynamics.stuck = LinearPart::new(&[[-r / l, 0.0], [0.0, 0.0]]);
             dynamics.inverse_inductance = 1.0 / l;
             dynamics.per_input = [1.0 / l, 0.0];
-            dynamics.input_s = 0.05;
+            dynamics.input_s = scenario.scales.responses(INPUT_RESPONSES);
         }
         Some(dynamics)
     }
@@ -236,7 +244,7 @@ struct Filter<'a> {
 
 impl<'a> Filter<'a> {
     fn new(model: &Model, scenario: &'a Scenario, start: State, noise: &'a Noise) -> Option<Self> {
-        let dynamics = Dynamics::of(model, scenario.input)?;
+        let dynamics = Dynamics::of(model, scenario)?;
         let mut p = stationary(noise);
         // Initial current: deviation of a tenth of the largest (an offset of the voltage may drive one at rest). Initial speed of
         // a shaft that did not rest: ten standard deviations of the sensor.
@@ -618,8 +626,7 @@ pub(super) fn predicted_covariance(
     out[0][0] += transition.added_variance[0];
     out[0][1] += transition.covariance * moving;
     out[1][0] += transition.covariance * moving;
-    // The error of a coupling's form is alike for about a period of its oscillation, 0.01 s.
-    let ringing = transition.form[2] * 0.01 * transition.interval_s;
+    let ringing = transition.form[2] * dynamics.ringing_s * transition.interval_s;
     out[1][1] +=
         (transition.added_variance[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + transition.form[1]) * (1.0 - decay * decay);

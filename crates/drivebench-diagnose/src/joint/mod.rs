@@ -31,6 +31,7 @@ pub(super) mod expected_information;
 pub(super) mod free_run;
 mod kalman;
 pub(super) mod marginal;
+mod memory;
 mod noise;
 mod nuisances;
 mod prediction_error;

@@ -18,7 +18,7 @@ use super::whitened::{Whitened, add_upper, turned};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{finite, largest, robust_deviation};
-use drivebench_model::plant::{Input, Model, Scenario};
+use drivebench_model::plant::{Input, Model, RunScales, Scenario};
 
 /// Starting values: known sensor noise, a disturbance of 0.004 of the largest torque.
 pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -> Noise {
@@ -32,7 +32,7 @@ pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -
         current_a: floor.current_a,
         speed_rad_s: floor.speed_rad_s,
         disturbance_n_m: (0.004 * torque).max(f64::MIN_POSITIVE),
-        correlation_s: USUAL_CORRELATION_S,
+        correlation_s: usual_correlation_s(&run.scales),
         input: (1e-4 * largest_input).max(f64::MIN_POSITIVE),
         // What they show at rest.
         sensors: 0.1,
@@ -78,8 +78,9 @@ fn block_averages(
     columns: &[usize],
 ) -> BlockAverages {
     let n = run.scenario.samples();
-    // Averages over 6 ms: the disturbance is slower.
-    let size = whole((6e-3 / run.scenario.mean_period_s()).floor()).max(1);
+    // Averages over 0.15 times of response: the disturbance is slower.
+    let block_s = run.scenario.scales.responses(0.15);
+    let size = whole((block_s / run.scenario.mean_period_s()).floor()).max(1);
     let blocks = n.div_ceil(size);
     let (mut counts, mut stamp_variance) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
     for (sample, update) in run.gains.updates.iter().enumerate() {
@@ -296,15 +297,17 @@ fn where_significant(found: Noise, start: Noise, log_likelihood: impl Fn(&Noise)
     unless_as_likely(now, Noise { input, ..now })
 }
 
-/// Prior median of the correlation time of a disturbance.
-const USUAL_CORRELATION_S: f64 = 0.5;
+/// Prior median of the correlation time of a disturbance: twelve times of response, and short against the run.
+fn usual_correlation_s(scales: &RunScales) -> f64 {
+    scales.responses(12.5).min(scales.length_s / 16.0)
+}
 
 fn log_prior(noise: &Noise, floor: &Noise, by_voltage: bool) -> f64 {
     let surprises = [
         (noise.current_a / floor.current_a).ln() / floor.sensors,
         (noise.speed_rad_s / floor.speed_rad_s).ln() / floor.sensors,
         // With a torque input the speed alone determines it, and a drag looks like a slow load: a narrower prior.
-        (noise.correlation_s / USUAL_CORRELATION_S).ln() / if by_voltage { 1.2 } else { 0.8 },
+        (noise.correlation_s / floor.correlation_s).ln() / if by_voltage { 1.2 } else { 0.8 },
     ];
     // A signal of unknown noise (infinite) is not used.
     let known = surprises.iter().filter(|surprise| surprise.is_finite());
@@ -350,8 +353,8 @@ impl NoiseParameter {
         let sensors = floor.sensors.exp();
         let (least, most) = match self {
             Self::Disturbance => (1e-6 * floor.disturbance_n_m, f64::MAX),
-            Self::Input => (f64::min(1e-6, 0.01 * floor.input), f64::MAX),
-            Self::Correlation => (0.02, 3.0),
+            Self::Input => (1e-4 * floor.input, f64::MAX),
+            Self::Correlation => (0.04 * floor.correlation_s, 6.0 * floor.correlation_s),
             Self::Current => (floor.current_a / sensors, floor.current_a * sensors),
             Self::Speed => (floor.speed_rad_s / sensors, floor.speed_rad_s * sensors),
         };

@@ -6,6 +6,7 @@ use std::mem::{self, Discriminant};
 use nalgebra::DVector;
 
 use super::columns::columns_of;
+use super::memory::torque_over_the_past;
 use super::process_noise::{constants, terms_of};
 use super::regression::{Column, Form, Part, SLAB, Source};
 use super::run::LinearisedRun;
@@ -13,8 +14,8 @@ use super::tangent::{Tangent, Wave, are_tangents};
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::effect::{Axis, Harmonic, TermKind};
 use drivebench_model::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot, Terms,
-    typical_size,
+    ActiveEffect, Effect, Enters, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, Slot,
+    Terms, typical_size,
 };
 
 /// Prior deviation of the logarithm of a motor's parameter.
@@ -155,7 +156,7 @@ pub(super) fn of_equations(run: &LinearisedRun<'_>) -> Vec<(ErrorOf, Vec<f32>)> 
 fn small_and_most_v(terms: &dyn Terms, scenario: &Scenario) -> ([f64; 2], f64) {
     let most_a = largest(scenario.current_a.iter().copied());
     let voltage_at = |current_a: f64| {
-        let at = Instant { current_a, ..Instant::default() };
+        let at = Instant { current_a, ..Instant::default().in_run(scenario) };
         terms.voltage_v(&at, &[]).abs()
     };
     ([SMALL_SHARE * most_a, most_a].map(voltage_at), SMALL_SHARE * most_a)
@@ -227,7 +228,7 @@ pub(super) fn bends(
     if terms.coupling().is_some() {
         return vec![];
     }
-    if terms.states() > 0 {
+    if terms.states() > 0 && effect.card().enters == Enters::Voltage {
         return vec![Tangent::Terms(Box::new(HotCopper(terms)))];
     }
     let mut bends = Vec::new();
@@ -249,9 +250,9 @@ pub(super) fn bends(
         }
         if is_before_the_chopper(&*terms, &constants(model, scenario)) {
             // The capacitor of the intermediate circuit with the resistance of what feeds it.
-            bends.extend([1e-3, 4e-3].map(|time_constant_s| Tangent::Lagging {
+            bends.extend([0.025, 0.1].map(|responses| Tangent::Lagging {
                 terms: effect.terms(values),
-                time_constant_s,
+                time_constant_s: scenario.scales.responses(responses),
             }));
         }
         // Where a torque drives, errors of friction and of the torque are process noise already.
@@ -358,6 +359,11 @@ pub(super) fn unknown_curves(runs: &[LinearisedRun<'_>]) -> Vec<Part> {
     if by_voltage {
         let volts = hats(Axis::Current, 7, current, volts);
         parts.push(part("voltage over current", volts));
+        // A shaft that rests has no past.
+        if speed > 0.0 {
+            let past = torque_over_the_past(run.scenario, speed, torque);
+            parts.push(part("torque over past speed", past));
+        }
     }
     parts
 }
@@ -382,12 +388,13 @@ mod tests {
     #[test]
     fn forms_differ_by_lag_shape_and_warming_where_they_can() {
         let run = record(&nameplate(), 0, 7);
-        let cases: [(&str, &[f64], [usize; 3]); 5] = [
+        let cases: [(&str, &[f64], [usize; 3]); 6] = [
             ("supply_sag", &[0.4], [2, 0, 0]),
             ("voltage_drop", &[1.0], [0, 0, 0]),
             ("stribeck_friction", &[0.1, 10.0], [0, 2, 0]),
             ("discontinuous_conduction", &[1.0, 2.0], [0, 2, 0]),
             ("winding_heating", &[1e-3, 20.0], [0, 0, 1]),
+            ("lagged_load", &[2e-6, 0.3], [0, 2, 0]),
         ];
         for (id, values, expected) in cases {
             let model = truth(id, values);

@@ -60,19 +60,20 @@ impl Coordinate {
         if is_chosen || why_not(effect, scenario).is_some() {
             return None;
         }
+        let range = spec.in_run(&scenario.scales);
         Some(if spec.is_coefficient() {
             let takes_power = effect.card().takes_power;
-            let least = if takes_power { 0.0 } else { spec.min };
+            let least = if takes_power { 0.0 } else { range.min };
             let unit = SLAB * typical_size(effect, parameter, model, scenario);
-            Self::linear(unit, (least, spec.max), 0.0)
+            Self::linear(unit, (least, range.max), 0.0)
         } else if spec.logarithmic {
             let limit = effect.card().limit.filter(|limit| limit.parameter == parameter);
-            let least = limit.map_or(spec.min, |limit| limit.least);
+            let least = limit.map_or(range.min, |limit| limit.least_in(effect, scenario));
             // The prior of a shape: a factor of e; three scales where it may be zero.
-            Self::logarithm(1.0, (least, spec.max), value)
+            Self::logarithm(1.0, (least, range.max), value)
         } else {
-            let unit = 3.0 * spec.scale;
-            Self::linear(unit, (spec.min, spec.max), value / unit)
+            let unit = 3.0 * range.scale;
+            Self::linear(unit, (range.min, range.max), value / unit)
         })
     }
 
@@ -284,7 +285,8 @@ impl<'a> Innovations<'a> {
         let Some((slot, unit)) = self.free.get(parameter) else {
             let number = parameter - self.free.len();
             let event = &there.events[number];
-            let slope = event.slope(self.sizes[number].slope(0.0));
+            let onset_s = self.runs[event.run].scenario.scales.onset_s();
+            let slope = event.slope(self.sizes[number].slope(0.0), onset_s);
             return slope.map(|slope| Source::In(event.run, slope));
         };
         let value = unit.to_value(x[parameter]);

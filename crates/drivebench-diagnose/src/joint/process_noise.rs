@@ -13,8 +13,7 @@ pub(super) const FORM_SHARE: f64 = 0.05;
 /// The motor's constants in a run. A torque input is treated as the current of a motor with a torque constant of one; without a
 /// voltage there is no armature circuit.
 pub(super) fn constants(model: &Model, scenario: &Scenario) -> Instant {
-    let mut motor = Instant::of(&model.motor);
-    motor.supply_v = scenario.supply_v();
+    let mut motor = Instant::of(&model.motor).in_run(scenario);
     if scenario.input != Input::Voltage {
         (motor.resistance_ohm, motor.back_emf_v_s_per_rad) = (0.0, 0.0);
     }

@@ -10,7 +10,7 @@ use super::run::LinearisedRun;
 use super::select::{Posterior, Reduced, Set, without};
 use super::solution::{present, with_event_times};
 use drivebench_model::plant::effect::CATALOGUE;
-use drivebench_model::plant::{ActiveEffect, Model, effect, typical_size};
+use drivebench_model::plant::{ActiveEffect, Model, Scenario, effect, typical_size};
 
 /// Prior log odds of an effect that a refit has refuted: practically zero probability. Its negative is added to the log odds of
 /// an effect without which a refit is worse.
@@ -104,11 +104,12 @@ fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
 
 /// The simpler effect and the richer one of the model whose fitted parameter is within 2 % of the limit where both are equal:
 /// discontinuous conduction with its boundary at the least one of any converter is a voltage drop of the brushes.
-pub(super) fn at_limit(model: &Model) -> Option<[&'static str; 2]> {
+pub(super) fn at_limit(model: &Model, scenario: &Scenario) -> Option<[&'static str; 2]> {
     model.effects.iter().find_map(|active| {
         let limit = active.effect.card().limit?;
         let value = active.values_or_guess()[limit.parameter];
-        (value < 1.02 * limit.least).then(|| [limit.simpler, active.id()])
+        let least = limit.least_in(active.effect, scenario);
+        (value < 1.02 * least).then(|| [limit.simpler, active.id()])
     })
 }
 
@@ -198,7 +199,7 @@ impl Weighed<'_> {
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
             // Squares that are 5 % larger: the form differs from that at the limit.
-            let limit = at_limit(there);
+            let limit = at_limit(there, self.runs[0].scenario);
             let is_limit = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
                 && left.squares < 1.05 * rich.squares;
             let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND_NATS;
@@ -256,9 +257,10 @@ mod tests {
         // The least boundary of discontinuous conduction, A.
         let least_boundary_a = 0.9;
         let brushes = ["voltage_drop", "discontinuous_conduction"];
-        assert_eq!(at_limit(&gaps(1.4, least_boundary_a)), Some(brushes));
-        assert_eq!(at_limit(&gaps(1.4, 1.5 * least_boundary_a)), None);
-        assert_eq!(at_limit(&truth("voltage_drop", &[0.9])), None);
+        let run = record(&nameplate(), 0, 1);
+        assert_eq!(at_limit(&gaps(1.4, least_boundary_a), &run), Some(brushes));
+        assert_eq!(at_limit(&gaps(1.4, 1.5 * least_boundary_a), &run), None);
+        assert_eq!(at_limit(&truth("voltage_drop", &[0.9]), &run), None);
         // A small drop hardly shows, whatever its form; of a large one the form does.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
             let machine = gaps(extra_ohm, least_boundary_a);

@@ -5,7 +5,7 @@ use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
 use super::tangent::{Lane, Tangent};
 use super::whitened::Whitened;
-use drivebench_model::plant::{Effect, Model};
+use drivebench_model::plant::{Effect, Model, RunScales};
 
 /// Prior deviation of the size of an effect, in typical sizes (0.03 of the largest torque or voltage).
 pub(super) const SLAB: f64 = 2.0;
@@ -210,6 +210,8 @@ pub(super) struct Linear {
     /// Whitened columns of each run.
     pub(super) columns: Vec<Whitened>,
     pub(super) present: DVector<f64>,
+    /// Of the first run.
+    pub(super) scales: RunScales,
 }
 
 impl Linear {

@@ -27,64 +27,73 @@ fn solution(reduced: &Reduced, set: &Set) -> Option<DVector<f64>> {
     Some(solution)
 }
 
-/// Outputs of two columns of standardised innovations, the inverse of whitening: per sample current and speed of each column, in
+/// Outputs of columns of standardised innovations, the inverse of whitening: per sample current and speed of each column, in
 /// standard deviations of the sensors.
-fn coloured(
+fn coloured<const N: usize>(
     run: &LinearisedRun<'_>,
-    white: impl Fn(usize) -> [[f64; 2]; 2],
-) -> impl Iterator<Item = [[f64; 2]; 2]> {
+    white: impl Fn(usize) -> [[f64; 2]; N],
+) -> impl Iterator<Item = [[f64; N]; 2]> {
     let mut track = Deviations::default();
     (0..run.scenario.samples()).map(move |sample| {
         track.advance_unforced(&run.steps[sample]);
         let columns = white(sample);
         let mut lanes = [Lane::default(); 2];
         for (signal, lane) in lanes.iter_mut().enumerate() {
-            lane[..2].copy_from_slice(&columns.map(|column| column[signal]));
+            lane[..N].copy_from_slice(&columns.map(|column| column[signal]));
         }
         let [current, speed] = track.colour(&run.gains.updates[sample], &lanes);
         let noise = &run.noise;
-        [0, 1].map(|k| [current[k] / noise.current_a, speed[k] / noise.speed_rad_s])
+        let over = |lane: Lane, sd: f64| std::array::from_fn(|k| lane[k] / sd);
+        [over(current, noise.current_a), over(speed, noise.speed_rad_s)]
     })
 }
 
-/// Share of the squared output error that each unknown function of a set explains.
+/// Share of the squared output error that each unknown function of a set explains: alone, or beyond what the rest of the set
+/// explains without it. A memory alone explains nothing of a torque that also has a part without memory.
 pub(super) fn unknown_shares(
     reduced: &Reduced,
     set: &Set,
     runs: &[LinearisedRun<'_>],
 ) -> Option<Vec<f64>> {
     let linear = &reduced.linear;
-    let solution = solution(reduced, set)?;
+    let all = solution(reduced, set)?;
     let share = |variant: usize, candidate: usize| {
-        let (mut before, mut after, mut floor) = (0.0, 0.0, 0.0);
+        let mut rest_of_set = set.clone();
+        rest_of_set[candidate] = None;
+        let rest = solution(reduced, &rest_of_set)?;
+        let (mut squares, mut floor) = ([0.0; 4], 0.0);
         for (run, columns) in runs.iter().zip(&linear.columns) {
-            let mut own = DVector::zeros(solution.len());
+            let mut own = DVector::zeros(all.len());
             for column in linear.candidates[candidate].variants[variant].numbers() {
-                own[column] = solution[column];
+                own[column] = all[column];
             }
-            let (part, shift) = (columns * &own, columns * &linear.present);
-            let pairs = coloured(run, |sample| {
+            let shift = columns * &linear.present;
+            let taken = [&own, &rest, &all].map(|sizes| columns * sizes);
+            let left = coloured(run, |sample| {
                 let white = run.filtered.white[sample];
                 let whole = [0, 1].map(|signal| white[signal] + shift[2 * sample + signal]);
-                [whole, [part[2 * sample], part[2 * sample + 1]]]
+                let [own, rest, all] = [0, 1, 2].map(|of: usize| {
+                    [0, 1].map(|signal| whole[signal] - taken[of][2 * sample + signal])
+                });
+                [whole, own, rest, all]
             });
-            for [whole, part] in pairs {
-                for (whole, part) in whole.into_iter().zip(part) {
-                    before += whole * whole;
-                    after += (whole - part).powi(2);
+            for left in left.flatten() {
+                for (sum, left) in squares.iter_mut().zip(left) {
+                    *sum += left * left;
                 }
             }
             floor += run.gains.rows as f64;
         }
-        let taken = (before - after) / (before - floor);
-        if before > floor { taken.clamp(0.0, 1.0) } else { 0.0 }
+        let [before, own, rest, all] = squares;
+        let taken = (before - own).max(rest - all) / (before - floor);
+        Some(if before > floor { taken.clamp(0.0, 1.0) } else { 0.0 })
     };
     let candidates = linear.candidates.iter().zip(set).enumerate();
     let shares = candidates.map(|(k, (candidate, chosen))| match chosen {
         Some(variant) if candidate.is_unknown() => share(*variant, k),
-        _ => 0.0,
+        _ => Some(0.0),
     });
-    Some(shares.collect())
+    shares.collect()
 }
 
 /// Ratio of the variance of an effect's size by the scatter between 20 blocks of the runs to that by white noise, for the worst

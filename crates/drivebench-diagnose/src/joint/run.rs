@@ -49,7 +49,7 @@ impl<'a> LinearisedRun<'a> {
         if !white.all(|white| white.is_finite()) {
             return None;
         }
-        let dynamics = Dynamics::of(&model, scenario.input)?;
+        let dynamics = Dynamics::of(&model, scenario)?;
         let transitions = gains.transitions.iter().zip(&gains.decays);
         let steps = transitions.map(|(transition, decay)| {
             if transition.interval_s > 0.0 {

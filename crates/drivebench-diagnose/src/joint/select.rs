@@ -478,6 +478,7 @@ mod tests {
             squares: 1000.0,
             columns: vec![],
             present: DVector::zeros(n),
+            scales: drivebench_model::plant::RunScales::REFERENCE,
         }
     }
 

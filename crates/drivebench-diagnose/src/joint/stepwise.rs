@@ -172,7 +172,8 @@ fn scan_delay(
 ) -> Option<Step> {
     let times = &runs[0].scenario.sample_time_s;
     let length_s = times.last()? - times.first()?;
-    let longest_s = (0.1 * length_s).min(effect.parameters()[0].max);
+    let longest_s =
+        (0.1 * length_s).min(effect.parameters()[0].in_run(&runs[0].scenario.scales).max);
     let mut time_s = runs[0].scenario.mean_period_s();
     let mut start = hypothesis.clone();
     let mut best: Option<Step> = None;

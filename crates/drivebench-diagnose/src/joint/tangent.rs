@@ -241,7 +241,6 @@ fn delay_forcing(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
 struct ForcingState<'a> {
     tangent: &'a Tangent,
     own: Vec<f64>,
-    rate: Vec<f64>,
     /// Largest voltage, torque and friction along the run, for [`Tangent::Power`].
     most: Sums,
     /// Forcing of the current by a delay of the commands, for each sample.
@@ -251,15 +250,18 @@ struct ForcingState<'a> {
 impl<'a> ForcingState<'a> {
     fn new(tangent: &'a Tangent, run: &LinearisedRun<'_>) -> Self {
         let states = match tangent {
-            Tangent::Terms(terms) => terms.states(),
+            Tangent::Terms(terms) | Tangent::Power { terms, .. } => terms.states(),
+            Tangent::Change { from, to, .. } => from.states() + to.states(),
             // The voltage behind the capacitor.
             Tangent::Lagging { .. } => 1,
             _ => 0,
         };
         let mut most = Sums::default();
         if let Tangent::Power { terms, .. } = tangent {
-            for at in &run.instants {
-                most = combined(&most, &terms.sums(at, &[]), |most, own| most.max(own.abs()));
+            let mut own = vec![0.0; states];
+            for (at, transition) in run.instants.iter().zip(&run.gains.transitions) {
+                let sums = advanced(&**terms, at, &mut own, transition.interval_s);
+                most = combined(&most, &sums, |most, own| most.max(own.abs()));
             }
             (most.current_rate_gain, most.inertia_gain) = (0.0, 0.0);
         }
@@ -267,33 +269,27 @@ impl<'a> ForcingState<'a> {
             Tangent::CommandDelay(late_s) => delay_forcing(run, *late_s),
             _ => vec![],
         };
-        Self { tangent, own: vec![0.0; states], rate: vec![0.0; states], most, delay_forcing }
+        Self { tangent, own: vec![0.0; states], most, delay_forcing }
     }
 
     /// Terms of the tangent at the middle of an interval; advances their states.
     fn sums(&mut self, at: &Instant, interval_s: f64) -> Sums {
         match self.tangent {
-            Tangent::Terms(terms) => {
-                let sums = terms.sums(at, &self.own);
-                if !self.own.is_empty() {
-                    terms.derivative(at, &self.own, &mut self.rate);
-                    for (own, rate) in self.own.iter_mut().zip(&self.rate) {
-                        *own += interval_s * rate;
-                    }
-                }
-                sums
-            }
+            Tangent::Terms(terms) => advanced(&**terms, at, &mut self.own, interval_s),
             Tangent::Event { parts, .. } => {
                 parts.iter().fold(Sums::default(), |sum, (weight, terms)| {
                     combined(&sum, &terms.sums(at, &[]), |sum, own| sum + weight * own)
                 })
             }
             Tangent::Change { from, to, over } => {
-                let (from, to) = (from.sums(at, &[]), to.sums(at, &[]));
+                let (of_from, of_to) = self.own.split_at_mut(from.states());
+                let from = advanced(&**from, at, of_from, interval_s);
+                let to = advanced(&**to, at, of_to, interval_s);
                 combined(&from, &to, |from, to| (to - from) / over)
             }
             Tangent::Power { terms, power, share } => {
-                combined(&terms.sums(at, &[]), &self.most, |value, most| {
+                let sums = advanced(&**terms, at, &mut self.own, interval_s);
+                combined(&sums, &self.most, |value, most| {
                     if value != 0.0 && most > 0.0 {
                         share * value * (value / most).abs().powf(*power)
                     } else {
@@ -325,6 +321,17 @@ impl<'a> ForcingState<'a> {
             _ => Sums::default(),
         }
     }
+}
+
+/// Terms at the middle of an interval; advances their states over it.
+fn advanced(terms: &dyn Terms, at: &Instant, own: &mut [f64], interval_s: f64) -> Sums {
+    if own.is_empty() {
+        return terms.sums(at, own);
+    }
+    terms.advance(at, own, 0.5 * interval_s);
+    let sums = terms.sums(at, own);
+    terms.advance(at, own, 0.5 * interval_s);
+    sums
 }
 
 /// Sine and cosine of a wave at the samples of one chunk.
@@ -666,9 +673,10 @@ mod tests {
         for (id, late_s) in [("current_filter", [by_s, 0.0]), ("speed_delay", [0.0, by_s])] {
             cases.push((Tangent::ReadingDelay(late_s), truth(id, &[by_s])));
         }
-        let effects: [(&str, &[f64]); 8] = [
+        let effects: [(&str, &[f64]); 9] = [
             ("viscous_friction", &[1e-4]),
             ("quadratic_load", &[5e-7]),
+            ("lagged_load", &[5e-7, 0.2]),
             ("constant_load", &[5e-3]),
             ("voltage_offset", &[0.05]),
             ("supply_sag", &[0.01]),

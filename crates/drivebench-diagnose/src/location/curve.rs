@@ -14,7 +14,7 @@ use serde::Serialize;
 use super::axis::{Search, hat};
 use super::windows::{FEWEST_HALF, Windows, own_keys};
 use drivebench_identify::noise::NoiseFloor;
-use drivebench_identify::output_error::{BLOCK_S, FitError};
+use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
@@ -256,7 +256,8 @@ impl Search<'_> {
         let variance = residual.norm_squared() / spare;
         let r2 = 1.0 - left.norm_squared() / (spare - added as f64) / variance;
         let begin_s = self.of().next()?.time_s;
-        let block = |time_s: f64| whole((time_s - begin_s) / BLOCK_S);
+        let block =
+            |time_s: f64| whole((time_s - begin_s) / self.windows.scenario.scales.block_s());
         let blocks: Vec<usize> = self.of().map(|window| block(window.time_s)).collect();
         let known = vec![true; added];
         let covariance = least_squares::clustered(&columns, &left, &blocks, bread, &known);

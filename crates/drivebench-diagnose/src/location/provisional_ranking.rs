@@ -102,7 +102,7 @@ fn share(
                 if spec.role == ParameterRole::Choice {
                     return order as f64;
                 }
-                spec.guess()
+                spec.in_run(&search.windows.scenario.scales).guess
             };
             let values: Vec<f64> = specs.iter().enumerate().map(value).collect();
             column(search, effect.terms(&values).as_ref(), model, angle)
@@ -131,7 +131,7 @@ fn column(
         return None;
     }
     let scenario = search.windows.scenario;
-    let motor = Instant::of(&model.motor);
+    let motor = Instant::of(&model.motor).in_run(scenario);
     let begin_s = scenario.begin_s();
     let dead_zone = search.windows.dead_zone_rad_s;
     let at_sample = |(sample, time_s): (usize, &f64)| {
@@ -139,7 +139,6 @@ fn column(
         let at = Instant {
             time_s: time_s - begin_s,
             voltage_v: scenario.input_at(*time_s),
-            supply_v: scenario.supply_v(),
             current_a: scenario.current_a.get(sample).copied().unwrap_or(f64::NAN),
             speed_rad_s,
             angle: angle.map_or_else(ShaftAngle::default, |angle| ShaftAngle::at(angle[sample])),

@@ -19,8 +19,8 @@ use drivebench_model::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
 /// Thresholds of the windows and of the errors of their balances.
 struct Settings {
-    /// Length of a window, s.
-    window_s: f64,
+    /// Length of a window, in times of response.
+    window_responses: f64,
     /// Speeds within this many standard deviations of the noise count as standstill, where friction is not determined.
     dead_zone_sigmas: f64,
     /// Or below this share of the largest speed.
@@ -45,7 +45,7 @@ struct Settings {
 }
 
 const SETTINGS: Settings = Settings {
-    window_s: 0.048,
+    window_responses: 1.2,
     dead_zone_sigmas: 4.0,
     dead_zone_share: 0.002,
     dead_zone_share_without_noise: 0.01,
@@ -195,7 +195,8 @@ impl<'a> Windows<'a> {
     ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let half = whole((0.5 * SETTINGS.window_s / period_s).round()).max(fewest_half);
+        let window_s = scenario.scales.responses(SETTINGS.window_responses);
+        let half = whole((0.5 * window_s / period_s).round()).max(fewest_half);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;
         let fastest = largest(scenario.speed_rad_s.iter().copied());

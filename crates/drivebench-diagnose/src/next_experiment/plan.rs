@@ -354,6 +354,8 @@ pub(super) fn planned(
         for model in models {
             let mut run = blank.clone();
             fill(&mut run, model)?;
+            run.find_scales();
+            blank.scales = run.scales;
             peaks = peaks.and(&Peaks::of(&run));
             if blank.angle.is_empty() {
                 // The angle comes from outside, as it does in a run; every model then gets the same.

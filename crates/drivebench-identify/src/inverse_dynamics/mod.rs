@@ -25,7 +25,6 @@ use self::processing::{Measured, Part, filter, gridded, rate, spanned};
 use super::balance::{
     self, Column, Derivation, Method, Signals, TorqueRows, Unknown, as_ratio, scored_s,
 };
-use super::output_error::BLOCK_S;
 use super::verdict::judge;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::filter::{Butterworth, decimated};
@@ -142,7 +141,8 @@ impl Case<'_> {
         if let Some(reason) = self.reason_against(&full) {
             return self.refused(Some(processing), &reason);
         }
-        let Some(solved) = Solved::new(&full, unknowns, processing.decimation) else {
+        let block_s = self.scenario.scales.block_s();
+        let Some(solved) = Solved::new(&full, unknowns, block_s, processing.decimation) else {
             let usable = full.iter().flat_map(|rows| &rows.valid).filter(|v| **v);
             let reason =
                 format!("{} usable rows: the shaft hardly moves in this run", usable.count());
@@ -156,8 +156,8 @@ impl Case<'_> {
         let blunter = processing.at_half_cut_off();
         let blunt = rows(parts, &blunter);
         let others = [
-            Solved::new(&thin, unknowns, (processing.decimation / 2).max(1)),
-            Solved::new(&blunt, unknowns, blunter.decimation),
+            Solved::new(&thin, unknowns, block_s, (processing.decimation / 2).max(1)),
+            Solved::new(&blunt, unknowns, block_s, blunter.decimation),
         ];
         let free = unknowns.iter().filter(|unknown| unknown.fixed.is_none());
         let free: Vec<&Slot> = free.map(|unknown| &unknown.slot).collect();
@@ -237,11 +237,10 @@ impl Case<'_> {
         let at = |k: usize| Instant {
             time_s: part.time_s(k) - scenario.begin_s(),
             voltage_v: if equation == Balance::Voltage { left[k] } else { 0.0 },
-            supply_v: scenario.supply_v(),
             current_a: current[k],
             speed_rad_s: speed[k],
             angle: ShaftAngle::at(part.angle_rad[k]),
-            ..Instant::of(&model.motor)
+            ..Instant::of(&model.motor).in_run(scenario)
         };
         let signals = Signals { model, equation, current_a: &current, speed_rad_s: speed, at: &at };
         let column = |unknown: &Unknown| match signals.column(&unknown.slot) {
@@ -275,9 +274,9 @@ struct Solved {
 }
 
 impl Solved {
-    fn new(parts: &[Rows], unknowns: &[Unknown], decimation: usize) -> Option<Self> {
+    fn new(parts: &[Rows], unknowns: &[Unknown], block_s: f64, decimation: usize) -> Option<Self> {
         let fits: Vec<Fit> = (0..decimation)
-            .filter_map(|offset| Fit::new(parts, unknowns, decimation, offset))
+            .filter_map(|offset| Fit::new(parts, unknowns, block_s, decimation, offset))
             .collect();
         let count = fits.len() as f64;
         let first = fits.first()?;
@@ -359,7 +358,13 @@ struct Fit {
 }
 
 impl Fit {
-    fn new(parts: &[Rows], unknowns: &[Unknown], decimation: usize, offset: usize) -> Option<Self> {
+    fn new(
+        parts: &[Rows],
+        unknowns: &[Unknown],
+        block_s: f64,
+        decimation: usize,
+        offset: usize,
+    ) -> Option<Self> {
         let (mut cells, mut right, mut blocks) = (Vec::new(), Vec::new(), Vec::new());
         let begin_s = parts.first()?.time_s[0];
         for part in parts {
@@ -380,7 +385,7 @@ impl Fit {
                     }
                 }
                 right.push(left[row] - known);
-                blocks.push(whole((time_s[row] - begin_s) / BLOCK_S));
+                blocks.push(whole((time_s[row] - begin_s) / block_s));
             }
         }
         let free = unknowns.iter().filter(|unknown| unknown.fixed.is_none());
@@ -578,6 +583,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         },
         at,
         begin_s: scenario.begin_s(),
+        scales: scenario.scales,
         time_s,
         left,
         inertia,

@@ -29,11 +29,12 @@ impl Scaling {
                 Self::Logarithm { min, max }
             }
             Slot::Effect { spec, index, parameter, .. } => {
-                let (min, max, effect) = (spec.min, spec.max, model.effects[*index].effect);
+                let range = spec.in_run(&scenario.scales);
+                let (min, max, effect) = (range.min, range.max, model.effects[*index].effect);
                 let scale = match (spec.logarithmic, spec.is_coefficient()) {
                     (true, _) => return Self::Logarithm { min, max },
                     (false, true) => typical_size(effect, *parameter, model, scenario),
-                    (false, false) => spec.scale,
+                    (false, false) => range.scale,
                 };
                 Self::Linear { scale, min, max }
             }
@@ -192,8 +193,10 @@ impl<'a> FreeRun<'a> {
             state = State::at(own[0] * scale.0, own[1] * scale.1);
             own = &own[2..];
         }
-        // A2.s of heat in a winding.
-        let effects: Vec<f64> = own.iter().map(|x| x * 100.0).collect();
+        // Heat in a winding, A2.s: some per cent of what the largest current would give it in the whole run.
+        let scales = &self.scenario.scales;
+        let heat = 0.04 * scales.current_a.powi(2) * scales.length_s;
+        let effects: Vec<f64> = own.iter().map(|x| x * heat).collect();
         state.with_effects(&effects)
     }
 
@@ -235,12 +238,16 @@ impl<'a> FreeRun<'a> {
         Ok(plant.coarse(self.coarse_s))
     }
 
-    /// Units in which the initial state is fitted; 30 A or rad/s without a measurement.
+    /// Units in which the initial state is fitted; the scales of the run without a measurement.
     fn start_scale(&self) -> (f64, f64) {
-        let unit = |noise: f64| {
-            if noise.is_finite() { 10.0 * noise } else { 30.0 }
+        let unit = |noise: f64, scale: f64| {
+            if noise.is_finite() { 10.0 * noise } else { scale }
         };
-        (unit(self.noise.current_a), unit(self.noise.speed_rad_s))
+        let scales = &self.scenario.scales;
+        (
+            unit(self.noise.current_a, scales.current_a),
+            unit(self.noise.speed_rad_s, 0.1 * scales.speed_rad_s),
+        )
     }
 }
 

@@ -199,16 +199,14 @@ fn estimates(
         .collect()
 }
 
-/// Length of one block, s.
-pub const BLOCK_S: f64 = 0.25;
-
 /// Block-clustered covariance at a minimum; NaN on the diagonal where the data leave a parameter undetermined. A variance
 /// from some ten blocks is itself uncertain by a quarter: none counts that is below what white residuals of this size
 /// would make.
 fn covariance_at(minimum: &Minimum, rows: &[(usize, bool)], scenario: &Scenario) -> DMatrix<f64> {
     let (bread, determined) = inverse_where_determined(&minimum.jacobian);
     let times: Vec<f64> = rows.iter().map(|row| scenario.sample_time_s[row.0]).collect();
-    let block = |time_s: &f64| whole((time_s - times[0]) / BLOCK_S);
+    let block_s = scenario.scales.block_s();
+    let block = |time_s: &f64| whole((time_s - times[0]) / block_s);
     let blocks: Vec<usize> = times.iter().map(block).collect();
     let residual = DVector::from_column_slice(&minimum.residual);
     let freedom = residual.len().saturating_sub(bread.ncols()).max(1) as f64;
@@ -290,7 +288,8 @@ pub fn fit_delayed(
         // What neighbouring samples err by together, as the parameters' own intervals have it.
         let rows: Vec<(usize, usize)> =
             problem.rows().iter().map(|row| row.0).enumerate().collect();
-        let block = |row: &(usize, usize)| (here.sample_time_s[row.1] / BLOCK_S).floor();
+        let block_s = here.scales.block_s();
+        let block = |row: &(usize, usize)| (here.sample_time_s[row.1] / block_s).floor();
         let scores = rows.chunk_by(|a, b| block(a).total_cmp(&block(b)).is_eq()).map(|block| {
             let score: f64 = block.iter().map(|(row, _)| own[*row] * residual[*row]).sum();
             score * score
@@ -380,7 +379,7 @@ fn event_starts(model: &Model, event: &Slot, scenario: &Scenario) -> Vec<Model> 
     let Slot::Effect { spec, .. } = event else {
         return vec![model.clone()];
     };
-    let places = spec.shapes.iter().map(|share| share * length_s);
+    let places = spec.in_run(&scenario.scales).shapes();
     // It need not happen in this run at all: behind the end what begins there does nothing.
     let there = places.chain([length_s + 1.0]).map(|time_s| {
         let mut there = model.clone();

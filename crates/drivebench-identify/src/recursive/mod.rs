@@ -42,7 +42,9 @@ impl Direction {
     }
 
     pub(crate) fn dead_zone_rad_s(&self) -> f64 {
-        (0.01 * self.largest_rad_s).max(4.0 * self.noise_rad_s).max(0.5)
+        // Where the noise is not known, that of any sensor of a motor of some hundred rad/s.
+        let noise_rad_s = if self.noise_rad_s > 0.0 { 4.0 * self.noise_rad_s } else { 0.5 };
+        noise_rad_s.max(0.01 * self.largest_rad_s)
     }
 
     pub(crate) fn largest_rad_s(&self) -> f64 {

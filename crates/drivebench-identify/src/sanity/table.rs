@@ -6,11 +6,11 @@
 use std::ops::Range;
 
 use super::sensor::Sensor;
-use crate::window_sums::{Sums, trapezoid, windows};
+use crate::window_sums::{Sums, WINDOW_RESPONSES, trapezoid, windows};
 use drivebench_model::numerics::count;
 use drivebench_model::numerics::least_squares::fit_normal;
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
-use drivebench_model::plant::{Input, MotorKey, Scenario};
+use drivebench_model::plant::{Input, MotorKey, RunScales, Scenario};
 use drivebench_model::signal;
 
 /// Voltage (as held), current and speed at each sample; NaN where missing. Without a voltage the first is all NaN.
@@ -39,7 +39,7 @@ impl Table {
         let time_s = of(&scenario.sample_time_s);
         let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
         Self {
-            windows: spread_windows(&time_s),
+            windows: spread_windows(&time_s, &scenario.scales),
             voltage_v: time_s.iter().map(voltage).collect(),
             current: Sensor::of(&current_a),
             speed: Sensor::of(&speed_rad_s),
@@ -180,8 +180,8 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
 }
 
 /// Some 3,000 windows, evenly spread over a long record.
-fn spread_windows(time_s: &[f64]) -> Vec<Range<usize>> {
-    let windows = windows(time_s);
+fn spread_windows(time_s: &[f64], scales: &RunScales) -> Vec<Range<usize>> {
+    let windows = windows(time_s, scales.responses(WINDOW_RESPONSES));
     let stride = windows.len().div_ceil(3000).max(1);
     windows.into_iter().step_by(stride).collect()
 }
@@ -290,9 +290,10 @@ fn torque_balance(sums: &[Sums]) -> Option<(Coefficient, f64)> {
     fitted(rows).map(|([inertia, ..], error)| (inertia, error))
 }
 
-/// Both balances of columns that stand side by side, each as it is; `None` where they do not determine a coefficient.
+/// Both balances of columns that stand side by side, each as it is, over windows of the run of the reference; `None` where they do
+/// not determine a coefficient.
 pub fn balances(time_s: &[f64], [voltage, current, speed]: [&[f64]; 3]) -> Option<Balances> {
-    let windows = spread_windows(time_s);
+    let windows = spread_windows(time_s, &RunScales::REFERENCE);
     let signs = [1.0; 2];
     Balances::of(&Roles { time_s, windows: &windows, voltage, current, speed, signs })
 }

@@ -15,6 +15,7 @@ mod model;
 mod model_file;
 mod motor;
 mod motor_range;
+mod run_scales;
 mod sampled_edges;
 mod scenario;
 mod shaft_angle;
@@ -27,13 +28,14 @@ mod unknown_input;
 pub(crate) use crate::numerics::propagator;
 pub use effect::{
     Balance, Card, Coupling, Effect, Enters, Instant, ParameterRole, ParameterSpec, Path,
-    ShaftAngle, Sums, Terms,
+    SearchRange, ShaftAngle, Sums, Terms,
 };
 pub use limited::LimitReached;
 pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
 pub use motor_range::{LEAST_TIME_CONSTANT, motor_range};
+pub use run_scales::{Measure, RunScales};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{Correction, Plant, State, Trajectory, starts_from_rest};
 pub use torque_map::{MapBin, MapTextError, MappedTorque, MappedValue, TorqueMap};

@@ -271,18 +271,12 @@ impl Model {
                 continue;
             };
             let finite = value.is_finite();
-            let within = |spec: &ParameterSpec| (spec.min..=spec.max).contains(&value);
             let (is_allowed, allowed) = match &slot {
                 Slot::Motor(MotorKey::LoadTorque) => {
                     (value >= 0.0 && finite, "0 or more".to_owned())
                 }
                 Slot::Motor(_) => (value > 0.0 && finite, "a number above 0".to_owned()),
-                Slot::Effect { spec, .. } if spec.is_coefficient() => {
-                    (within(spec), "a finite number".to_owned())
-                }
-                Slot::Effect { spec, .. } => {
-                    (within(spec), format!("{} to {} {}", spec.min, spec.max, spec.unit))
-                }
+                Slot::Effect { spec, .. } => (spec.admits(value), spec.allowed()),
             };
             if !is_allowed {
                 let key = slot.key();

@@ -7,6 +7,7 @@ use std::ops::Range;
 use thiserror::Error;
 
 use super::limited::{LimitReached, applied};
+use super::run_scales::RunScales;
 use super::sampled_edges;
 use super::shaft_angle::continuous;
 use super::unknown_input::{self, Rows, UnknownInput};
@@ -83,6 +84,8 @@ pub struct Scenario {
     pub limits: Vec<LimitReached>,
     /// The samples of which residuals are computed: all, or the last part where a run was split for validation.
     pub scored: Range<usize>,
+    /// Those of the reference where nothing was measured; a part of a run has those of the whole.
+    pub scales: RunScales,
 }
 
 /// Supply to which a sag is referred, V: in the model file and in the configuration of the emulator.
@@ -118,6 +121,7 @@ impl Scenario {
             time_half_width_s: Vec::new(),
             unknown_input: Vec::new(),
             limits: Vec::new(),
+            scales: RunScales::REFERENCE,
         }
     }
 
@@ -173,7 +177,13 @@ impl Scenario {
             let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
             scenario.bridge_lost_rows(!is_own);
         }
+        scenario.find_scales();
         Ok(scenario)
+    }
+
+    /// Finds the scales of the run from its signals.
+    pub fn find_scales(&mut self) {
+        self.scales = RunScales::of(self);
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
@@ -394,6 +404,7 @@ impl Scenario {
             unknown_input,
             limits,
             part_of: self.within(),
+            scales: self.scales,
             ..Self::planned(name, input, channel, events, times)
         }
     }
@@ -462,6 +473,10 @@ impl Scenario {
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s,
             unknown_input: holes.chain([between]).chain(later_holes).collect(),
+            scales: RunScales {
+                length_s: self.scales.length_s + later.scales.length_s,
+                ..self.scales
+            },
             ..Self::planned(name, self.input, self.input_channel, events, times)
         }
     }

@@ -27,12 +27,17 @@ use two_mass::TwoMass;
 use super::effect::Instant;
 use super::limited::LimitReached;
 use super::model::{Model, ModelError};
+use super::run_scales::RunScales;
 use super::scenario::{Input, REFERENCE_SUPPLY_V, Scenario};
 use crate::numerics::count::whole;
 use crate::numerics::root;
 
-/// Longest sub-step with effects, s: resolves voltage drops at current reversals and Stribeck friction at reversals.
-const LONGEST_STEP_WITH_EFFECTS_S: f64 = 5e-4;
+/// Longest sub-step with effects, in times of response: resolves voltage drops at current reversals and Stribeck friction at reversals.
+const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
+/// Angle of the shaft in a sub-step with effects of the angle, rad: a fourteenth of the period of six teeth.
+const LONGEST_TURN_RAD: f64 = 0.3;
+/// Sub-steps between two samples that are enough whatever the time of response is.
+const MOST_STEPS_A_SAMPLE: f64 = 20.0;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -55,7 +60,9 @@ pub struct Correction {
 /// A model compiled for simulation.
 pub struct Plant {
     equations: Equations,
+    /// In the present run.
     longest_step_s: f64,
+    least_step_s: f64,
     moving: Steps,
     /// While stuck: the current alone.
     stuck: Steps,
@@ -69,6 +76,30 @@ pub struct Plant {
     work: u64,
 }
 
+/// Longest sub-step in a run, s.
+fn longest_step_s(equations: &Equations, scales: &RunScales) -> f64 {
+    let linear = equations.is_linear();
+    // Linear steps are exact, but two reversals within one are not detected, and an oscillating load reverses often. The
+    // sensors interpolate the motion between two steps linearly: they need short ones.
+    let responses = match (&equations.coupling, equations.path.measures_directly()) {
+        (None, true) if linear => 10.0 * LONGEST_STEP_WITH_EFFECTS,
+        (Some(_), true) if linear => 2.0 * LONGEST_STEP_WITH_EFFECTS,
+        _ => LONGEST_STEP_WITH_EFFECTS,
+    };
+    let mut step_s = scales.responses(responses);
+    if equations.needs_angle {
+        step_s = step_s.min(LONGEST_TURN_RAD / scales.speed_rad_s);
+    }
+    step_s = step_s.max(scales.period_s / MOST_STEPS_A_SAMPLE);
+    // Twenty sub-steps in a period of an oscillating load. Halved as often as needed: steps that followed its frequency in a fit
+    // would make the cost jump.
+    let most_s = equations.coupling.map_or(f64::INFINITY, |coupling| 0.05 / coupling.frequency_hz);
+    while step_s > most_s && most_s > 0.0 {
+        step_s *= 0.5;
+    }
+    step_s
+}
+
 fn reading(time_s: f64, state: &State) -> Reading {
     Reading { time_s, current_a: state.current_a, speed_rad_s: state.speed_rad_s }
 }
@@ -79,13 +110,8 @@ impl Plant {
         let still = [[equations.a[0][0], 0.0], [0.0, 0.0]];
         let linear = equations.is_linear();
         Ok(Self {
-            // Linear steps are exact, but two reversals within one are not detected, and an oscillating load reverses often. The
-            // sensors interpolate the motion between two steps linearly: they need short ones.
-            longest_step_s: match (&equations.coupling, equations.path.measures_directly()) {
-                (None, true) if linear => 5e-3,
-                (Some(_), true) if linear => 1e-3,
-                _ => LONGEST_STEP_WITH_EFFECTS_S,
-            },
+            longest_step_s: longest_step_s(&equations, &RunScales::REFERENCE),
+            least_step_s: 0.0,
             moving: Steps::new(&equations.a, !linear),
             stuck: Steps::new(&still, !linear),
             two_mass: equations
@@ -104,7 +130,7 @@ impl Plant {
     #[must_use]
     pub fn coarse(mut self, step_s: f64) -> Self {
         if self.two_mass.is_none() {
-            self.longest_step_s = self.longest_step_s.max(step_s);
+            self.least_step_s = step_s;
         }
         self
     }
@@ -117,7 +143,7 @@ impl Plant {
     /// Step of the classical Runge-Kutta method for this plant, s, for programs without exact propagators: a quarter of the
     /// fastest time constant, with an error below 1e-5.
     pub fn runge_kutta_step_s(&mut self) -> f64 {
-        self.equations.set_supply(REFERENCE_SUPPLY_V);
+        self.equations.set_run(REFERENCE_SUPPLY_V, &RunScales::REFERENCE);
         let equations = &self.equations;
         let a = &equations.a;
         let electromechanical = (a[0][1] * a[1][0]).abs().sqrt();
@@ -126,7 +152,7 @@ impl Plant {
         let rates = lags.filter(|tau| *tau > 0.0).map(f64::recip);
         let lag = rates.fold(0.0, f64::max);
         let rate = a[0][0].abs() + electromechanical + lag + steep::fastest(equations);
-        (0.25 / rate).min(LONGEST_STEP_WITH_EFFECTS_S)
+        (0.25 / rate).min(RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS))
     }
 
     pub fn effect_states(&self) -> usize {
@@ -198,9 +224,12 @@ impl Plant {
         let unknown = restarts.clone().filter(|_| late_s > 0.0);
         let mut unknown = unknown.map(|(to_s, _)| to_s..to_s + late_s).peekable();
         let mut limits = scenario.limits.iter().peekable();
-        let events = commands::applied(&scenario.events, &self.equations.path);
+        let events =
+            commands::applied(&scenario.events, &self.equations.path, scenario.scales.rest_s());
         self.begin_s = scenario.begin_s();
-        self.equations.set_supply(scenario.supply_v());
+        self.equations.set_run(scenario.supply_v(), &scenario.scales);
+        self.longest_step_s =
+            longest_step_s(&self.equations, &scenario.scales).max(self.least_step_s);
         self.steep = Steep::of(&self.equations, self.longest_step_s);
         let mut now_s = self.begin_s;
         let needs_angle = self.equations.needs_angle;
@@ -256,7 +285,7 @@ impl Plant {
     }
 
     /// Time for which the whole command acts before the current is within 0.1 % of its limit, at which the voltage is `limited_v`,
-    /// s, at most 0.5 ms; `None` where it has reached it, or the drive has not started yet.
+    /// s, at most the longest sub-step; `None` where it has reached it, or the drive has not started yet.
     fn rise_s(
         &self,
         limit: &LimitReached,
@@ -279,7 +308,8 @@ impl Plant {
         let linear = by_current * state.current_a + by_speed * state.speed_rad_s;
         let rate = direction * (linear + self.equations.forcing(state, &at)[0]);
         let rise_s = missing_a / rate;
-        Some(if rate > 0.0 { rise_s.min(5e-4) } else { 5e-4 })
+        let most_s = self.longest_step_s;
+        Some(if rate > 0.0 { rise_s.min(most_s) } else { most_s })
     }
 
     /// Changes the state, and the states of the sensors by as much, so that the readings change with it.

@@ -44,6 +44,20 @@ pub fn record(
     scenario
 }
 
+/// A run with every voltage, current, speed and time multiplied by these, with its own scales.
+pub fn scaled(run: &Scenario, [voltage, current, speed, time]: [f64; 4]) -> Scenario {
+    let by = |values: &[f64], factor: f64| values.iter().map(|value| value * factor).collect();
+    let events = run.events.iter().map(|(at_s, volts)| (at_s * time, volts * voltage)).collect();
+    let times = by(&run.sample_time_s, time);
+    let mut scaled = Scenario {
+        current_a: by(&run.current_a, current),
+        speed_rad_s: by(&run.speed_rad_s, speed),
+        ..Scenario::planned(run.name.clone(), run.input, run.input_channel, events, times)
+    };
+    scaled.find_scales();
+    scaled
+}
+
 /// A zero-order hold from its instants and levels: `(time, value)`.
 pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)> {
     times.into_iter().zip(levels).collect()

@@ -15,21 +15,17 @@ pub fn typical_size(
 ) -> f64 {
     let specs = effect.parameters();
     if !specs[parameter].is_coefficient() {
-        return specs[parameter].guess();
+        return specs[parameter].in_run(&scenario.scales).guess;
     }
     let values = specs.iter().enumerate().map(|(index, spec)| {
         // At its scale an effect is nearly proportional to its size. The guess of a coefficient is its scale.
         let is_other = spec.is_coefficient() && index != parameter;
-        if is_other { 0.0 } else { spec.guess() }
+        if is_other { 0.0 } else { spec.in_run(&scenario.scales).guess }
     });
     let terms = effect.terms(&values.collect::<Vec<f64>>());
     let times = &scenario.sample_time_s;
-    let duration_s = times[times.len() - 1] - times[0];
     let currents = finite(&scenario.current_a);
-    let mean_square = currents.iter().map(|i| i * i).sum::<f64>() / currents.len().max(1) as f64;
-    // States of effects integrate the square of the current: their value at the end of the run.
-    let own = vec![mean_square * duration_s; terms.states()];
-    let supply_v = scenario.supply_v();
+    let mut own = vec![0.0; terms.states()];
     // 500 samples are enough.
     let stride = times.len().div_ceil(500);
     let largest_input = largest(scenario.events.iter().map(|event| event.1));
@@ -40,7 +36,7 @@ pub fn typical_size(
             model.motor.torque_constant().unwrap_or(1.0) * largest_current
         }
     };
-    let mut motor = Instant::of(&model.motor);
+    let mut motor = Instant::of(&model.motor).in_run(scenario);
     // A given torque is the current of a motor with a torque constant of one.
     let by_torque = scenario.input == Input::Torque;
     if by_torque {
@@ -55,11 +51,16 @@ pub fn typical_size(
             current_a: if by_torque { input } else { measured_a() },
             speed_rad_s: scenario.speed_rad_s[sample],
             voltage_v: input,
-            supply_v,
             // Angles that are spread over the turn.
             angle: ShaftAngle::at(sample as f64),
             ..motor
         };
+        let last_s = times[sample.saturating_sub(stride)];
+        let mut next = own.clone();
+        terms.advance(&at, &mut next, times[sample] - last_s);
+        if next.iter().all(|state| state.is_finite()) {
+            own = next;
+        }
         let voltage = terms.voltage_v(&at, &own).abs() / largest_input;
         let torque = terms.torque_n_m(&at, &own).abs() + terms.friction_n_m(&at).abs();
         // `max` ignores NaN, as of a sample without a speed. Half of the largest torque accelerates.
@@ -74,7 +75,11 @@ pub fn typical_size(
         .max(path.current_offset_a.abs() / largest_current)
         .max(path.speed_offset_rad_s.abs() / largest(&scenario.speed_rad_s));
     let size = 0.03 * specs[parameter].scale / reached;
-    if size.is_finite() && size > 0.0 { size } else { specs[parameter].scale }
+    if size.is_finite() && size > 0.0 {
+        size
+    } else {
+        specs[parameter].in_run(&scenario.scales).scale
+    }
 }
 
 #[cfg(test)]

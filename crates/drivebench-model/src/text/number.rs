@@ -76,6 +76,11 @@ pub fn shortest(value: f64, digits: usize) -> String {
     }
 }
 
+/// The nearest number with so many significant digits.
+pub fn with_digits(value: f64, digits: usize) -> f64 {
+    significant(value, digits).parse().unwrap_or(value)
+}
+
 /// The value of a register: at most six digits, as many as 16 bits and a scale have.
 pub fn reading(value: f64) -> String {
     shortest(value, 6)

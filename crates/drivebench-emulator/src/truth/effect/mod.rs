@@ -31,6 +31,8 @@ mod friction_onset;
 mod inductance_saturation;
 mod inertia_change;
 mod kind;
+mod lagged_drag;
+mod lagged_load;
 mod load_dependent_friction;
 mod load_step;
 mod mechanism;
@@ -76,6 +78,8 @@ static CATALOGUE: &[HiddenKind] = &[
     torque_ripple::KIND,
     eccentric_load::KIND,
     load_dependent_friction::KIND,
+    lagged_load::KIND,
+    lagged_drag::KIND,
     load_step::KIND,
     one_sided_load::KIND,
     friction_onset::KIND,

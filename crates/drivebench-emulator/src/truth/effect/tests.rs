@@ -158,6 +158,9 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
                 let x = at.angle_rad;
                 (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
             }
+            // 0.1 s of a time constant of 0.3 s.
+            "lagged_load" => (torque(m), 1.8e-6 * speed * speed * 0.2835, 1e-3),
+            "lagged_drag" => (torque(m), 4e-4 * speed * 0.2835, 1e-3),
             "load_step" => (torque(m), 0.12, 1e-9),
             "friction_onset" => (torque(m), 4e-4 * speed, 1e-9),
             "inertia_change" => (m.inertia_factor(&at), 1.3, 1e-9),

@@ -1,7 +1,7 @@
 //! Backlash (play) between motor and load.
 
 use super::elastic_coupling::{DAMPING_RATIO, FREQUENCY_HZ, FRICTION_SPLIT, INERTIA_RATIO};
-use super::{Card, Coupling, Enters, ParameterSpec};
+use super::{Card, Coupling, Enters, Measure, ParameterSpec};
 
 pub(super) const EFFECT: Card = Card {
     id: "backlash",
@@ -17,8 +17,9 @@ pub(super) const EFFECT: Card = Card {
     remedy: "preload or replace the worn part; reverse the torque gently in the loop",
     alternatives: &["elastic_coupling"],
     parameters: &[
-        ParameterSpec::shape("gap_rad", "rad", (1e-4, 1.0), &[0.02, 0.04, 0.08]),
-        ParameterSpec::shape("frequency_hz", "Hz", FREQUENCY_HZ, &[35.0, 55.0]),
+        ParameterSpec::shape("gap_rad", "rad", (1e-4, 1.0), &[0.02, 0.04, 0.08]).of(Measure::Angle),
+        ParameterSpec::shape("frequency_hz", "Hz", FREQUENCY_HZ, &[35.0, 55.0])
+            .of(Measure::Frequency),
         INERTIA_RATIO,
         DAMPING_RATIO,
         FRICTION_SPLIT,

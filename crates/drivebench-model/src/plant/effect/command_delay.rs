@@ -1,6 +1,6 @@
 //! Command delay: the voltage reaches the motor later than its stamp.
 
-use super::{BiasedFit, Card, Enters, ParameterSpec, path};
+use super::{BiasedFit, Card, Enters, Measure, ParameterSpec, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "command_delay",
@@ -18,7 +18,7 @@ pub(super) const EFFECT: Card = Card {
         into the loop's small time constant",
     stands_for: &[["speed_delay", "current_filter"], ["speed_filter", "current_filter"]],
     biases: &[BiasedFit::FreeRun],
-    parameters: &[ParameterSpec::positive("delay_s", "s", 1e-3).up_to(0.5)],
+    parameters: &[ParameterSpec::positive("delay_s", "s", 1e-3).up_to(0.5).of(Measure::Response)],
     terms: |values| path(values[0], |path| &mut path.command_delay_s),
     ..Card::PLAIN
 };

@@ -1,6 +1,6 @@
 //! First-order filter of the measured current.
 
-use super::{BiasedFit, Card, Enters, ParameterSpec, Place, path};
+use super::{BiasedFit, Card, Enters, Measure, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "current_filter",
@@ -17,7 +17,9 @@ pub(super) const EFFECT: Card = Card {
     remedy: "read the unfiltered value, or lower the filter; declare it in the profile; count it \
         into the current loop's time constant",
     biases: &[BiasedFit::FreeRun],
-    parameters: &[ParameterSpec::positive("time_constant_s", "s", 2e-3).up_to(0.5)],
+    parameters: &[ParameterSpec::positive("time_constant_s", "s", 2e-3)
+        .up_to(0.5)
+        .of(Measure::Response)],
     formula: &[(Place::StateRate, "(i - x)/time_constant_s"), (Place::CurrentReading, "x - i")],
     terms: |values| path(values[0], |path| &mut path.current_filter_s),
     ..Card::PLAIN

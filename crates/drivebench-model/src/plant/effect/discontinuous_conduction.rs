@@ -1,7 +1,7 @@
 //! Discontinuous conduction (Leonhard, *Control of Electrical Drives*, chapter 8): extra resistance at small currents, where the
 //! current of a converter falls to zero between its pulses.
 
-use super::{Axis, Balance, Card, Enters, Limit, ParameterSpec, Place, voltage};
+use super::{Axis, Balance, Card, Enters, Limit, Measure, ParameterSpec, Place, voltage};
 
 pub(super) const EFFECT: Card = Card {
     id: "discontinuous_conduction",
@@ -22,11 +22,12 @@ pub(super) const EFFECT: Card = Card {
     takes_power: true,
     curve: Some((Balance::Voltage, Axis::Current)),
     alternatives: &["voltage_drop"],
-    // A boundary below nine times the 0.1 A over which a voltage drop builds up is that of a drop.
+    // A boundary below nine times the current over which a voltage drop builds up is that of a drop.
     limit: Some(Limit { simpler: "voltage_drop", parameter: 1, least: 0.9 }),
     parameters: &[
         ParameterSpec::coefficient("extra_ohm", "ohm", 1.0),
-        ParameterSpec::shape("boundary_a", "A", (0.01, 1000.0), &[0.3, 0.6, 1.2, 2.5, 5.0]),
+        ParameterSpec::shape("boundary_a", "A", (0.01, 1000.0), &[0.3, 0.6, 1.2, 2.5, 5.0])
+            .of(Measure::Current),
     ],
     formula: &[(Place::Voltage, "extra_ohm*0.5*(abs(i + boundary_a) - abs(i - boundary_a))")],
     terms: |values| {

@@ -1,6 +1,6 @@
 //! Elastic coupling: a two-mass system.
 
-use super::{Card, Coupling, Enters, ParameterSpec};
+use super::{Card, Coupling, Enters, Measure, ParameterSpec};
 
 /// Share of the load in the inertia. At either end one of the two masses vanishes.
 pub(super) const INERTIA_RATIO: ParameterSpec =
@@ -30,8 +30,9 @@ pub(super) const EFFECT: Card = Card {
             "frequency_hz",
             "Hz",
             FREQUENCY_HZ,
-            &[10.0, 13.0, 17.0, 22.0, 28.0, 36.0, 48.0],
-        ),
+            &[9.0, 10.5, 12.2, 14.2, 16.5, 19.2, 22.3, 26.0, 30.0, 35.0, 40.6, 47.0, 55.0],
+        )
+        .of(Measure::Frequency),
         INERTIA_RATIO,
         DAMPING_RATIO,
         FRICTION_SPLIT,

@@ -5,6 +5,8 @@ use super::{
     voltage_drop,
 };
 
+use crate::plant::scenario::Scenario;
+
 pub use viscous_friction::SLOPE as VISCOUS_SLOPE;
 pub use voltage_drop::DROP as VOLTAGE_DROP;
 
@@ -55,9 +57,16 @@ pub enum Harmonic {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limit {
     pub simpler: &'static str,
-    /// Index of the parameter, and its smallest value at which the effects differ.
+    /// Index of the parameter, and its smallest value at which the effects differ, in the run of the reference.
     pub parameter: usize,
     pub least: f64,
+}
+
+impl Limit {
+    /// The smallest value of the parameter of its effect in a run.
+    pub fn least_in(&self, effect: &dyn Effect, scenario: &Scenario) -> f64 {
+        scenario.scales.factor(effect.parameters()[self.parameter].of) * self.least
+    }
 }
 
 /// A fit whose parameters an effect biases that the model lacks (omitted-variable bias), by more than it leaves in the residual.

@@ -30,6 +30,8 @@ mod grammar;
 mod inductance_saturation;
 mod inertia_change;
 mod kind;
+mod lagged_drag;
+mod lagged_load;
 mod load_dependent_friction;
 mod load_step;
 mod one_sided_load;
@@ -56,10 +58,11 @@ pub use definition::{DefinitionError, Layout};
 pub use formula::{Formula, Place, SYMBOLS};
 pub use grammar::Tree;
 pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE, VOLTAGE_DROP};
-pub use parameter::{ParameterRole, ParameterSpec};
+pub use parameter::{ParameterRole, ParameterSpec, SearchRange};
 pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
 
+use crate::plant::run_scales::Measure;
 use parameter::WAVE_ORDERS;
 use terms::{
     begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
@@ -69,6 +72,8 @@ use terms::{
 pub const CATALOGUE: &[&dyn Effect] = &[
     &viscous_friction::EFFECT,
     &quadratic_load::EFFECT,
+    &lagged_load::EFFECT,
+    &lagged_drag::EFFECT,
     &stribeck_friction::EFFECT,
     &constant_load::EFFECT,
     &asymmetric_viscous::EFFECT,

@@ -1,5 +1,7 @@
 //! Parameter of an effect: its key, unit, bounds and typical size, and how a fit finds it.
 
+use crate::plant::run_scales::{Measure, RunScales};
+
 /// Orders of a harmonic of the shaft angle that are tried.
 pub(super) const WAVE_ORDERS: &[f64] = &[
     2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0, 17.0, 18.0,
@@ -14,14 +16,17 @@ pub enum ParameterRole {
     Shape,
     /// Taken from the grid without a fit: an integer, such as the number of teeth, over which the cost has local minima.
     Choice,
-    /// Time of an event, s after the run's first command, estimated in each run. The grid is in shares of the run's length.
+    /// Time of an event, s after the run's first command, estimated in each run.
     EventTime,
 }
 
+/// Bounds, scale and grid are those in the run of [`RunScales::REFERENCE`]: see [`ParameterSpec::in_run`].
 #[derive(Debug)]
 pub struct ParameterSpec {
     pub key: &'static str,
     pub unit: &'static str,
+    /// By what bounds, scale and grid change from run to run.
+    pub of: Measure,
     pub min: f64,
     pub max: f64,
     /// A typical size: step of the score test and unit of the fit.
@@ -39,6 +44,7 @@ impl ParameterSpec {
         Self {
             key,
             unit,
+            of: Measure::Absolute,
             min: -f64::MAX,
             max: f64::MAX,
             scale,
@@ -57,6 +63,10 @@ impl ParameterSpec {
         Self { max, ..self }
     }
 
+    pub(super) const fn of(self, of: Measure) -> Self {
+        Self { of, ..self }
+    }
+
     /// A positive shape parameter within bounds, fitted as a logarithm.
     pub const fn shape(
         key: &'static str,
@@ -67,6 +77,7 @@ impl ParameterSpec {
         Self {
             key,
             unit,
+            of: Measure::Absolute,
             min: range.0,
             max: range.1,
             scale: shapes[0],
@@ -100,20 +111,78 @@ impl ParameterSpec {
     pub(super) const EVENT_TIME: Self = Self {
         key: "time_s",
         unit: "s",
+        of: Measure::Length,
         min: 0.0,
         max: f64::MAX,
         scale: 0.1,
         role: ParameterRole::EventTime,
         logarithmic: false,
-        shapes: &[0.08, 0.15, 0.22, 0.29, 0.36, 0.43, 0.5, 0.57, 0.64, 0.71, 0.78, 0.85, 0.92],
+        shapes: &[0.8, 1.5, 2.2, 2.9, 3.6, 4.3, 5.0, 5.7, 6.4, 7.1, 7.8, 8.5, 9.2],
     };
 
     pub const fn is_coefficient(&self) -> bool {
         matches!(self.role, ParameterRole::Coefficient)
     }
 
-    /// Default start of a fit.
+    /// Default start of a fit in the run of the reference.
     pub const fn guess(&self) -> f64 {
         if self.is_coefficient() { self.scale } else { self.shapes[self.shapes.len() / 2] }
+    }
+
+    /// Bounds, scale and grid in a run with these scales.
+    pub fn in_run(&self, scales: &RunScales) -> SearchRange {
+        let factor = scales.factor(self.of);
+        SearchRange {
+            min: self.min * factor,
+            max: (self.max * factor).min(f64::MAX),
+            scale: self.scale * factor,
+            guess: self.guess() * factor,
+            grid: self.shapes,
+            factor,
+        }
+    }
+
+    /// Whether a model may have this value: a range of the search that follows from the run is no bound of it.
+    pub fn admits(&self, value: f64) -> bool {
+        let (min, max) = match self.of {
+            Measure::Absolute => (self.min, self.max),
+            _ if self.logarithmic => (f64::MIN_POSITIVE, f64::MAX),
+            _ => (self.min, f64::MAX),
+        };
+        (min..=max).contains(&value)
+    }
+
+    /// The values that it may have, for a text.
+    pub fn allowed(&self) -> String {
+        match (self.of, self.is_coefficient()) {
+            (Measure::Absolute, false) if self.unit == "-" => {
+                format!("{} to {}", self.min, self.max)
+            }
+            (Measure::Absolute, false) => format!("{} to {} {}", self.min, self.max, self.unit),
+            (Measure::Absolute, true) => "a finite number".to_owned(),
+            _ if self.logarithmic => format!("more than 0 {}", self.unit),
+            _ => format!("{} {} or more", self.min, self.unit),
+        }
+    }
+}
+
+/// Bounds, scale and grid of a parameter in one run, in its unit.
+#[derive(Clone, Copy, Debug)]
+pub struct SearchRange {
+    pub min: f64,
+    pub max: f64,
+    /// Unit of a fit.
+    pub scale: f64,
+    /// Default start of a fit.
+    pub guess: f64,
+    grid: &'static [f64],
+    factor: f64,
+}
+
+impl SearchRange {
+    /// Grid of the score test; empty for a coefficient.
+    pub fn shapes(&self) -> impl DoubleEndedIterator<Item = f64> + Clone + use<> {
+        let factor = self.factor;
+        self.grid.iter().map(move |shape| shape * factor)
     }
 }

@@ -1,6 +1,6 @@
 //! Delay of the measured speed.
 
-use super::{BiasedFit, Card, Enters, ParameterSpec, path};
+use super::{BiasedFit, Card, Enters, Measure, ParameterSpec, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "speed_delay",
@@ -18,7 +18,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "stamp the speed where it is taken, or read all registers in one request; count it \
         into the loop's small time constant",
     biases: &[BiasedFit::FreeRun],
-    parameters: &[ParameterSpec::positive("delay_s", "s", 2e-3).up_to(0.5)],
+    parameters: &[ParameterSpec::positive("delay_s", "s", 2e-3).up_to(0.5).of(Measure::Response)],
     terms: |values| path(values[0], |path| &mut path.speed_delay_s),
     ..Card::PLAIN
 };

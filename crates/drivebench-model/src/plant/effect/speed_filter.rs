@@ -1,6 +1,6 @@
 //! First-order filter of the measured speed.
 
-use super::{Card, Enters, ParameterSpec, Place, path};
+use super::{Card, Enters, Measure, ParameterSpec, Place, path};
 
 pub(super) const EFFECT: Card = Card {
     id: "speed_filter",
@@ -16,7 +16,9 @@ pub(super) const EFFECT: Card = Card {
     remedy: "lower the drive's filter, or declare it in the profile; count it into the loop's \
         small time constant",
     alternatives: &["speed_delay"],
-    parameters: &[ParameterSpec::positive("time_constant_s", "s", 3e-3).up_to(0.5)],
+    parameters: &[ParameterSpec::positive("time_constant_s", "s", 3e-3)
+        .up_to(0.5)
+        .of(Measure::Response)],
     formula: &[(Place::StateRate, "(w - x)/time_constant_s"), (Place::SpeedReading, "x - w")],
     terms: |values| path(values[0], |path| &mut path.speed_filter_s),
     ..Card::PLAIN

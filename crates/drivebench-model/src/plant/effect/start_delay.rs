@@ -1,6 +1,6 @@
 //! Start delay: the drive applies zero for a while after the first command.
 
-use super::{Card, Enters, ParameterSpec, path};
+use super::{Card, Enters, Measure, ParameterSpec, path};
 
 /// A shape, which is tried on a grid: the cost over it has many local minima.
 pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
@@ -8,7 +8,8 @@ pub(super) const LATE_START: ParameterSpec = ParameterSpec::shape(
     "s",
     (1e-4, 5.0),
     &[0.003, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.45, 0.7, 1.0],
-);
+)
+.of(Measure::Response);
 
 pub(super) const EFFECT: Card = Card {
     id: "start_delay",

@@ -1,6 +1,6 @@
 //! Stribeck friction: extra friction near standstill (Armstrong-Helouvry, Dupont and Canudas de Wit, *Automatica* 30, 1994).
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, friction};
+use super::{Axis, Balance, Card, Enters, Measure, ParameterSpec, Place, friction};
 
 pub(super) const EFFECT: Card = Card {
     id: "stribeck_friction",
@@ -19,7 +19,8 @@ pub(super) const EFFECT: Card = Card {
     curve: Some((Balance::Torque, Axis::Speed)),
     parameters: &[
         ParameterSpec::coefficient("stribeck_n_m", "N.m", 0.1),
-        ParameterSpec::shape("stribeck_speed_rad_s", "rad/s", (1.0, 40.0), &[4.0, 8.0, 16.0, 30.0]),
+        ParameterSpec::shape("stribeck_speed_rad_s", "rad/s", (1.0, 40.0), &[4.0, 8.0, 16.0, 30.0])
+            .of(Measure::Speed),
     ],
     formula: &[(Place::Friction, "stribeck_n_m*exp(-(w/stribeck_speed_rad_s)^2)")],
     terms: |values| {

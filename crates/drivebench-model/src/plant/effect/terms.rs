@@ -2,15 +2,20 @@
 
 use super::ShaftAngle;
 use crate::plant::motor::{Motor, MotorKey};
+use crate::plant::run_scales::RunScales;
+use crate::plant::scenario::Scenario;
 
 /// The instant at which terms are evaluated, and the motor that they act on.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub struct Instant {
     /// Since the run's first command.
     pub time_s: f64,
     pub voltage_v: f64,
     /// Full voltage of the supply in this run, see [`Scenario::supply_v`](crate::plant::Scenario::supply_v).
     pub supply_v: f64,
+    /// See [`RunScales::onset_s`] and [`RunScales::drop_a`].
+    pub onset_s: f64,
+    pub drop_a: f64,
     pub current_a: f64,
     pub speed_rad_s: f64,
     pub angle: ShaftAngle,
@@ -18,6 +23,25 @@ pub struct Instant {
     pub resistance_ohm: f64,
     pub back_emf_v_s_per_rad: f64,
     pub torque_n_m_per_a: f64,
+}
+
+/// At rest and zero, in a run with the scales of the reference.
+impl Default for Instant {
+    fn default() -> Self {
+        Self {
+            time_s: 0.0,
+            voltage_v: 0.0,
+            supply_v: 0.0,
+            onset_s: RunScales::REFERENCE.onset_s(),
+            drop_a: RunScales::REFERENCE.drop_a(),
+            current_a: 0.0,
+            speed_rad_s: 0.0,
+            angle: ShaftAngle::default(),
+            resistance_ohm: 0.0,
+            back_emf_v_s_per_rad: 0.0,
+            torque_n_m_per_a: 0.0,
+        }
+    }
 }
 
 impl Instant {
@@ -30,6 +54,16 @@ impl Instant {
             torque_n_m_per_a: motor.torque_constant().unwrap_or(f64::NAN),
             ..Self::default()
         }
+    }
+
+    /// The same with the supply and the scales of a run.
+    #[must_use]
+    pub fn in_run(self, scenario: &Scenario) -> Self {
+        self.with(scenario.supply_v(), &scenario.scales)
+    }
+
+    pub(in crate::plant) const fn with(self, supply_v: f64, scales: &RunScales) -> Self {
+        Self { supply_v, onset_s: scales.onset_s(), drop_a: scales.drop_a(), ..self }
     }
 }
 
@@ -105,6 +139,15 @@ pub trait Terms: Send + Sync {
 
     /// Time derivatives of the effect's states.
     fn derivative(&self, _at: &Instant, _own: &[f64], _out: &mut [f64]) {}
+
+    /// Advances the effect's states by an interval of a record with the instant of its middle.
+    fn advance(&self, at: &Instant, own: &mut [f64], interval_s: f64) {
+        let mut rate = vec![0.0; own.len()];
+        self.derivative(at, own, &mut rate);
+        for (state, rate) in own.iter_mut().zip(rate) {
+            *state += interval_s * rate;
+        }
+    }
 
     /// Its delays, filters and offsets in the path of command and measurement.
     fn path(&self) -> Path {
@@ -339,10 +382,10 @@ impl Terms for Coupling {
     }
 }
 
-/// Logistic step from 0 to 1 at `time_s`, with a time constant of 10 ms: the derivative of a jump by its time would be zero, and
-/// a fit could not find it.
+/// Logistic step from 0 to 1 at `time_s`, with the run's time constant of onsets, 10 ms in the run of the reference: the derivative
+/// of a jump by its time would be zero, and a fit could not find it.
 pub(super) fn begun(at: &Instant, time_s: f64) -> f64 {
-    let since = (at.time_s - time_s) / 0.01;
+    let since = (at.time_s - time_s) / at.onset_s;
     // exp(-37) = 1e-16 is below the rounding of one; the exponential would need most of the time of a free run.
     if since > 37.0 {
         1.0

@@ -5,13 +5,17 @@ use std::collections::{BTreeMap, BTreeSet};
 use super::*;
 use crate::numerics::statistics::largest;
 use crate::plant::testing::held;
-use crate::plant::{ActiveEffect, Input, Model, ModelFile, Motor, Plant, Scenario, State};
+use crate::plant::{
+    ActiveEffect, Input, Model, ModelFile, Motor, Plant, RunScales, Scenario, State,
+};
 use crate::sample::Channel;
 
 /// Ids and keys that model files, JSON and the command line use; a change here breaks files in the field.
 const KEYS: &str = "
     viscous_friction viscous_n_m_s_per_rad
     quadratic_load quadratic_n_m_s2_per_rad2
+    lagged_load lagged_n_m_s2_per_rad2 time_constant_s
+    lagged_drag lagged_n_m_s_per_rad time_constant_s
     stribeck_friction stribeck_n_m stribeck_speed_rad_s
     constant_load constant_n_m
     asymmetric_viscous asymmetry_n_m_s_per_rad
@@ -122,7 +126,8 @@ fn effects_with_a_clock_or_a_state_go_on_over_runs() {
     let found = CATALOGUE.iter().filter(|own| own.goes_on_over_runs());
     let found: BTreeSet<&str> = found.map(|own| own.card().id).collect();
     let timed = "friction_onset inertia_change load_step one_sided_load";
-    let expected = format!("{timed} field_change start_delay winding_heating");
+    let expected =
+        format!("{timed} field_change lagged_drag lagged_load start_delay winding_heating");
     assert_eq!(found, expected.split(' ').collect());
 }
 
@@ -219,7 +224,7 @@ fn parameters_have_a_unit_bounds_and_grids_inside_them() {
             assert!(!spec.logarithmic || spec.min > 0.0, "{at}");
             assert!(spec.shapes.windows(2).all(|pair| pair[0] < pair[1]), "{at}");
             let bounds = match spec.role {
-                ParameterRole::EventTime => (0.0, 1.0),
+                ParameterRole::EventTime => (0.0, RunScales::REFERENCE.length_s),
                 _ => (spec.min, spec.max),
             };
             let is_within = |shape: &f64| (bounds.0..=bounds.1).contains(shape);

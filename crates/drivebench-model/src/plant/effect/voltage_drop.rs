@@ -9,7 +9,7 @@ pub(super) const EFFECT: Card = Card {
     id: "voltage_drop",
     name: "voltage drop",
     enters: Enters::Voltage,
-    equation: "U = Ud sgn(i), smoothed over 0.1 A",
+    equation: "U = Ud sgn(i), smoothed over 0.1 % of the stall current",
     causes: "brush contact, transistor and diode drops, dead time of the inverter. Measure at the \
         terminals: a drop of the drive is seen there, that of the brushes is not. Dead time grows \
         with the bus voltage and the switching frequency, a diode's drop does not; a brush's \
@@ -21,7 +21,7 @@ pub(super) const EFFECT: Card = Card {
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("drop_v", "V", 1.0)],
     formula: &[(Place::Voltage, "drop_v*tanh(i/0.1)")],
-    // The sign of the current, smoothed over 0.1 A.
-    terms: |values| voltage(values, |at, [drop_v]| drop_v * (at.current_a / 0.1).tanh()),
+    // The sign of the current; smoothed, a fit finds the voltage by small changes.
+    terms: |values| voltage(values, |at, [drop_v]| drop_v * (at.current_a / at.drop_a).tanh()),
     ..Card::PLAIN
 };

@@ -1,6 +1,8 @@
 //! Resistance that rises as the winding takes up its own loss.
 
-use super::{Axis, Balance, BiasedFit, Card, Enters, Instant, ParameterSpec, Place, Terms};
+use super::{
+    Axis, Balance, BiasedFit, Card, Enters, Instant, Measure, ParameterSpec, Place, Terms,
+};
 
 pub(super) const EFFECT: Card = Card {
     id: "winding_heating",
@@ -19,7 +21,8 @@ pub(super) const EFFECT: Card = Card {
     biases: &[BiasedFit::FreeRun],
     parameters: &[
         ParameterSpec::coefficient("gain_per_a2_s", "1/(A2.s)", 1e-3),
-        ParameterSpec::shape("time_constant_s", "s", (1.0, 2000.0), &[5.0, 20.0, 80.0]),
+        ParameterSpec::shape("time_constant_s", "s", (1.0, 2000.0), &[5.0, 20.0, 80.0])
+            .of(Measure::Length),
     ],
     formula: &[
         (Place::Voltage, "R*gain_per_a2_s*x*i"),

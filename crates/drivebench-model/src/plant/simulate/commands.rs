@@ -5,15 +5,15 @@ use std::borrow::Cow;
 use crate::plant::effect::Path;
 use crate::signal;
 
-/// Instants at which a command that is not zero follows 0.2 s or more of zero; the time before the first command is zero.
-pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
+/// Instants at which a command that is not zero follows `rest_s` or more of zero; the time before the first command is zero.
+pub fn starts_from_rest(events: &[(f64, f64)], rest_s: f64) -> Vec<f64> {
     let mut starts = Vec::new();
     let mut zero_since_s = Some(f64::NEG_INFINITY);
     for &(time_s, value) in events {
         if value == 0.0 {
             zero_since_s.get_or_insert(time_s);
         } else if let Some(since_s) = zero_since_s.take()
-            && time_s - since_s >= 0.2
+            && time_s - since_s >= rest_s
         {
             starts.push(time_s);
         }
@@ -22,8 +22,8 @@ pub fn starts_from_rest(events: &[(f64, f64)]) -> Vec<f64> {
 }
 
 /// `events` with zero for a while after each start from rest.
-fn waiting(events: &[(f64, f64)], delay_s: f64) -> Vec<(f64, f64)> {
-    let starts = starts_from_rest(events);
+fn waiting(events: &[(f64, f64)], delay_s: f64, rest_s: f64) -> Vec<(f64, f64)> {
+    let starts = starts_from_rest(events, rest_s);
     let waits = |time_s: f64| {
         let before = starts.iter().rev().find(|start_s| **start_s <= time_s);
         before.is_some_and(|start_s| time_s < start_s + delay_s)
@@ -42,11 +42,16 @@ fn waiting(events: &[(f64, f64)], delay_s: f64) -> Vec<(f64, f64)> {
 }
 
 /// `events` (time, value held from there) later by the command's delay, and zero until the drive has started.
-pub(super) fn applied<'a>(events: &'a [(f64, f64)], path: &Path) -> Cow<'a, [(f64, f64)]> {
+pub(super) fn applied<'a>(
+    events: &'a [(f64, f64)],
+    path: &Path,
+    rest_s: f64,
+) -> Cow<'a, [(f64, f64)]> {
     if !path.delays_command() {
         return Cow::Borrowed(events);
     }
-    let waited = (path.restart_delay_s > 0.0).then(|| waiting(events, path.restart_delay_s));
+    let waited =
+        (path.restart_delay_s > 0.0).then(|| waiting(events, path.restart_delay_s, rest_s));
     let events = waited.as_deref().unwrap_or(events);
     let (begin_s, first) = events[0];
     // Before the first command its value is assumed.
@@ -86,7 +91,7 @@ mod tests {
         let events = held([1.0, 1.5, 2.0, 2.1, 2.5, 3.0], [0.0, 0.0, 5.0, 6.0, 6.0, -5.0]);
         let restarts =
             held([0.0, 1.0, 1.1, 2.0, 2.4, 2.45, 3.0], [5.0, 0.0, 4.0, 0.0, -5.0, -6.0, 0.0]);
-        assert_eq!(starts_from_rest(&restarts), [0.0, 2.4]);
+        assert_eq!(starts_from_rest(&restarts, 0.2), [0.0, 2.4]);
         let waited =
             held([0.0, 0.1, 1.0, 1.1, 2.0, 2.5, 3.0], [0.0, 5.0, 0.0, 4.0, 0.0, -6.0, 0.0]);
         // Delays of every command, of the first start and of every start; repeats are dropped.
@@ -100,7 +105,7 @@ mod tests {
         ] {
             let [command_delay_s, start_delay_s, restart_delay_s] = delays;
             let path = Path { command_delay_s, start_delay_s, restart_delay_s, ..Path::default() };
-            assert_eq!(*applied(events, &path), *expected, "{delays:?}");
+            assert_eq!(*applied(events, &path, 0.2), *expected, "{delays:?}");
         }
     }
 }

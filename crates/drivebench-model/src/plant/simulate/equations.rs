@@ -4,6 +4,7 @@ use crate::plant::effect::{Coupling, Enters, Instant, Path, ShaftAngle, Sums, Te
 use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
+use crate::plant::run_scales::RunScales;
 use crate::plant::scenario::Input;
 
 /// States that all effects of one model may have together.
@@ -178,8 +179,8 @@ impl Equations {
     }
 
     /// Sets the supply of the run that is simulated next.
-    pub(super) const fn set_supply(&mut self, supply_v: f64) {
-        self.motor.supply_v = supply_v;
+    pub(super) const fn set_run(&mut self, supply_v: f64, scales: &RunScales) {
+        self.motor = self.motor.with(supply_v, scales);
     }
 
     pub(super) fn is_linear(&self) -> bool {

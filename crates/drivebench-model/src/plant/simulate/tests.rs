@@ -229,8 +229,9 @@ fn no_place_is_steep_on_an_ordinary_motor() {
     ];
     for effects in cases {
         let mut equations = Equations::new(&model(effects), Input::Voltage).unwrap();
-        equations.set_supply(110.0);
-        let steep = Steep::of(&equations, LONGEST_STEP_WITH_EFFECTS_S);
+        equations.set_run(110.0, &RunScales::REFERENCE);
+        let steep =
+            Steep::of(&equations, RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS));
         assert!(steep.is_empty(), "{effects:?}");
     }
 }

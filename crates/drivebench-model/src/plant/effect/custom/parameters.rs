@@ -7,6 +7,7 @@ use super::expression::VARIABLES;
 use crate::plant::effect::definition::{DefinitionError, leaked, number_of, unknown_key};
 use crate::plant::effect::grammar::{FUNCTIONS, PI};
 use crate::plant::effect::{ParameterRole, ParameterSpec};
+use crate::plant::run_scales::Measure;
 
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Declared {
@@ -162,6 +163,7 @@ impl Declared {
         ParameterSpec {
             key,
             unit,
+            of: Measure::Absolute,
             min,
             max,
             scale,

@@ -1,0 +1,74 @@
+//! A fan with a long duct or a pump with a long pipe.
+
+use super::{Acts, HiddenKind, Mechanism, Moment, NOT_STUDIED, NotNegative, Positive};
+
+/// Load of `lagged_n_m_s2_per_rad2` times rated speed squared at rated speed, behind a lag of `time_constant_s`.
+pub(super) const KIND: HiddenKind = HiddenKind {
+    id: "lagged_load",
+    names: &["lagged_load"],
+    parameters: &[
+        NotNegative.of("lagged_n_m_s2_per_rad2", "N.m.s2/rad2", 1.8e-6, NOT_STUDIED),
+        Positive.of("time_constant_s", "s", 0.3, NOT_STUDIED),
+    ],
+    mystery: None,
+    acts: Acts::Inside(|values, site| {
+        let rated_speed_rad_s = site.motor.rated_speed_rad_s;
+        // As measured fans: a power a little below two. The host's catalogue has w |w|.
+        let (at_rated_n_m, power) = (values[0] * rated_speed_rad_s.powi(2), 1.95);
+        Box::new(Column::new(at_rated_n_m, rated_speed_rad_s, power, values[1]))
+    }),
+};
+
+/// A column that is set in motion: dT/dt = (Tn |w/wn|^power sgn(w) - T)/tau.
+pub(super) struct Column {
+    at_rated_n_m: f64,
+    rated_speed_rad_s: f64,
+    power: f64,
+    time_constant_s: f64,
+    torque_n_m: f64,
+}
+
+impl Column {
+    pub(super) const fn new(
+        at_rated_n_m: f64,
+        rated_speed_rad_s: f64,
+        power: f64,
+        time_constant_s: f64,
+    ) -> Self {
+        Self { at_rated_n_m, rated_speed_rad_s, power, time_constant_s, torque_n_m: 0.0 }
+    }
+}
+
+impl Mechanism for Column {
+    fn load_torque_n_m(&self, _at: &Moment) -> f64 {
+        self.torque_n_m
+    }
+
+    fn advance(&mut self, step_s: f64, at: &Moment, _put_out_v: f64) {
+        let ratio = (at.speed_rad_s / self.rated_speed_rad_s).abs();
+        let settled_n_m = (self.at_rated_n_m * ratio.powf(self.power)).copysign(at.speed_rad_s);
+        self.torque_n_m += (settled_n_m - self.torque_n_m) * step_s / self.time_constant_s;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn follows_the_speed_by_its_time_constant_and_goes_on_at_rest() {
+        let mut column = KIND.mechanism(&[1.8e-6, 0.3]);
+        let mut after = |speed_rad_s: f64, steps: usize| {
+            let at = Moment { speed_rad_s, ..Moment::default() };
+            for _ in 0..steps {
+                column.advance(50e-6, &at, 0.0);
+            }
+            column.load_torque_n_m(&at)
+        };
+        // Steps of 50 us: one time constant, ten, one at rest.
+        let full = 1.8e-6 * 293.2 * 293.2;
+        assert!((after(293.2, 6_000) / full - 0.632).abs() < 1e-3);
+        assert!((after(293.2, 60_000) / full - 1.0).abs() < 1e-3);
+        assert!((after(0.0, 6_000) / full - 0.368).abs() < 1e-3);
+    }
+}
