@@ -282,7 +282,13 @@ impl Conclusion {
             inference.veto(veto);
         }
         progress(Event::Begun { stage: Stage::Refit, of: inference.named.len() });
-        let mut rungs = climb(&bench, baseline, &inference, vec![], progress)?;
+        let climbed = |inference: &mut Inference, mut known: Vec<Standing>| loop {
+            match climb(&bench, baseline, inference, std::mem::take(&mut known), progress)? {
+                Ok(rungs) => return Ok::<_, FitError>(rungs),
+                Err(veto) => inference.veto(veto),
+            }
+        };
+        let mut rungs = climbed(&mut inference, vec![])?;
         if !rungs[0].score.nrms.is_finite() {
             return Err(nothing_judged(&bench.evidence.holdout));
         }
@@ -290,7 +296,7 @@ impl Conclusion {
             let before = inference.named.clone();
             inference.veto(veto);
             let known = passed(rungs, &before, &inference.named);
-            rungs = climb(&bench, baseline, &inference, known, progress)?;
+            rungs = climbed(&mut inference, known)?;
         }
         if let Some(last) = rungs.pop() {
             rungs.push(last.with_deviations(&bench, &inference));

@@ -322,14 +322,15 @@ impl Standing {
 }
 
 /// The baseline and one named effect more on each rung, what explains most first; the parameters of the last are
-/// reported. `known` are the rungs after the baseline that an earlier ladder shares with this one.
+/// reported. `known` are the rungs after the baseline that an earlier ladder shares with this one. Else the veto of the
+/// first effect with which the free run diverges.
 pub(super) fn climb(
     bench: &Bench,
     baseline: &Fitted,
     inference: &Inference,
     known: Vec<Standing>,
     progress: Progress<'_>,
-) -> Result<Vec<Standing>, FitError> {
+) -> Result<Result<Vec<Standing>, Veto>, FitError> {
     let last = inference.named.len();
     let on_rung = |place: usize, fit: Fitted| {
         if place < last || inference.is_cut() {
@@ -347,7 +348,7 @@ pub(super) fn climb(
         ..Options::thrifty()
     };
     let unfitted = Options { most_iterations: 0, ..Options::thrifty() };
-    let climbed: Vec<Standing> = (known.len()..last)
+    let climbed: Vec<Result<Standing, FitError>> = (known.len()..last)
         .into_par_iter()
         .with_max_len(1)
         .map(|place| {
@@ -359,15 +360,22 @@ pub(super) fn climb(
             let standing = fitted.and_then(|fit| on_rung(place + 1, fit));
             standing.or_else(|_| on_rung(place + 1, bench.fit_with(&start, unfitted)?))
         })
-        .collect::<Result<_, FitError>>()?;
+        .collect();
     let mut rungs = vec![on_rung(0, baseline.clone())?];
-    for (effect, rung) in inference.named.iter().zip(known.into_iter().chain(climbed)) {
+    let all = known.into_iter().map(Ok).chain(climbed);
+    for (effect, rung) in inference.named.iter().zip(all) {
+        let rung = match rung {
+            Err(FitError::CannotSimulate { .. }) => {
+                return Ok(Err(Veto { effect, reason: VetoReason::Diverges }));
+            }
+            rung => rung?,
+        };
         let (error, holdout) = (rung.fit.nrms, rung.score.nrms);
         progress(Event::Refitted { effect, error });
         progress(Event::Accepted { effect, holdout });
         rungs.push(rung);
     }
-    Ok(rungs)
+    Ok(Ok(rungs))
 }
 
 /// One model on the ladder and its held-out error in units of the noise.

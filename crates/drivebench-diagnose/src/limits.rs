@@ -78,6 +78,8 @@ findings! {
         SearchCut = "search_ended_by_budget",
         /// The error of the best model is several times the noise, so that its bounds do not hold.
         FarFromNoise = "several_times_the_noise_left",
+        /// A torque over the past of the speed, of no known form: it explains what a lag or a filter would.
+        DependsOnPast = "depends_on_the_past",
     }
 }
 

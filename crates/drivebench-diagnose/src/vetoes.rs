@@ -35,6 +35,8 @@ findings! {
         /// More than `most` effects would be named.
         Surplus { most: usize } = "too_many_effects",
         HoldoutStill = "holdout_still",
+        /// The free run of the model with it diverges.
+        Diverges = "free_run_diverges",
         /// Its refit does not halve the held-out error, which alone counts where the search was cut.
         SearchCut = "search_ended_by_budget",
         FrequencyTooHigh { found_hz: f64, highest_hz: f64 } = "frequency_above_half_the_sampling_rate",

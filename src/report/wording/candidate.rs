@@ -85,6 +85,7 @@ pub fn veto(reason: &VetoReason) -> String {
             format!("more than {most} effects would act at once, and others explain more")
         }
         VetoReason::HoldoutStill => HOLDOUT_STILL.to_owned(),
+        VetoReason::Diverges => "with it the simulated motor runs away".to_owned(),
         VetoReason::SearchCut => {
             "the search was ended by its budget, and its refit alone does not halve the held-out error"
                 .to_owned()

@@ -187,7 +187,14 @@ impl Inference {
     pub(crate) fn why_open(&self) -> Option<WhyOpen> {
         // Eight ninths of the residual variance are then model error.
         let is_far = self.found.excess > 9.0;
-        self.is_cut().then_some(WhyOpen::SearchCut).or(is_far.then_some(WhyOpen::FarFromNoise))
+        let is_past = |unknown: &Unknown| unknown.kind == UnknownKind::TorqueOverPastSpeed;
+        let depends_on_past = self.unknown.iter().any(is_past);
+        let reasons = [
+            (self.is_cut(), WhyOpen::SearchCut),
+            (is_far, WhyOpen::FarFromNoise),
+            (depends_on_past, WhyOpen::DependsOnPast),
+        ];
+        reasons.into_iter().find_map(|(holds, why)| holds.then_some(why))
     }
 
     /// Excludes an effect from the named ones; its probability is unchanged.

@@ -233,10 +233,18 @@ impl<'a> Search<'a> {
             if self.noise.disturbance_n_m > filtered_with.disturbance_n_m
                 || (!is_near && !is_settled)
             {
-                runs = self.linearised_runs(&hypothesis)?;
-                let linear = self.linearised(&hypothesis, &runs, is_far)?;
-                reduced = Reduced::new(linear, 1.0, true)?;
-                posterior = posterior_of(&reduced);
+                let filtered = self.linearised_runs(&hypothesis)?;
+                let is_more = self.noise.disturbance_n_m > filtered_with.disturbance_n_m;
+                if is_more && squares(&filtered) > squares(&runs) {
+                    // More noise makes no innovation larger, except where the filter diverges: its gains are then too large for
+                    // the delays of the model.
+                    self.noise = filtered_with;
+                } else {
+                    runs = filtered;
+                    let linear = self.linearised(&hypothesis, &runs, is_far)?;
+                    reduced = Reduced::new(linear, 1.0, true)?;
+                    posterior = posterior_of(&reduced);
+                }
                 is_settled = true;
             }
             self.last = hypothesis.clone();
