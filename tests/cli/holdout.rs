@@ -88,13 +88,11 @@ fn a_model_no_better_than_the_mean_is_not_fitted() {
 fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
     let desk = Desk::new();
     let nameplate = desk.nameplate();
-    // The bridge takes 2 V of what was asked.
-    let dropped = |rows: &[Row]| text_of(rows, |row| row[1] += 2.0 * row[1].signum());
-    let run = desk.put("run.csv", &dropped(&good()[120..]));
-    let other = record(again(37), 0.9);
-    let holdout = desk.put("holdout.csv", &dropped(&other[120..]));
-    let third = record(again(41), 0.8);
-    let confirm = desk.put("confirm.csv", &dropped(&third[120..]));
+    let [run, holdout, confirm] = [("run", 7, 1.0), ("holdout", 37, 0.9), ("confirm", 41, 0.8)]
+        .map(|(name, seed, share)| {
+            let rows = record(Bench { drop_v: 2.0, ..again(seed) }, share);
+            desk.put(&format!("{name}.csv"), &text_of(&rows[120..], |_| {}))
+        });
     let model = desk.path("model2.toml");
     let page = desk.path("page.html");
     let paths: [&Path; 5] = [&nameplate, &run, &holdout, &confirm, &model];

@@ -26,6 +26,8 @@ pub(crate) fn noise(seed: u64) -> impl FnMut(f64) -> f64 {
 pub(crate) struct Bench {
     pub(crate) resistance_ohm: f64,
     pub(crate) ke: f64,
+    /// What the bridge takes, against the current.
+    pub(crate) drop_v: f64,
     /// Speed of the shaft at the beginning.
     pub(crate) turning: f64,
     /// The shaft may turn.
@@ -35,7 +37,7 @@ pub(crate) struct Bench {
 
 impl Bench {
     pub(crate) const PAPER_A: Self =
-        Self { resistance_ohm: 1.1, ke: 0.3538, turning: 0.0, free: true, seed: 7 };
+        Self { resistance_ohm: 1.1, ke: 0.3538, drop_v: 0.0, turning: 0.0, free: true, seed: 7 };
 
     /// 8 s at 5 ms under this voltage.
     pub(crate) fn record(self, volts: impl Fn(f64) -> f64) -> Vec<Row> {
@@ -50,7 +52,8 @@ impl Bench {
                 rows.push([time_s, u, i + noise(0.03), w + noise(0.15), angle]);
             }
             let torque = self.ke * i;
-            i += step_s * (u - self.resistance_ohm * i - self.ke * w) / L_H;
+            let lost_v = if i == 0.0 { 0.0 } else { self.drop_v.copysign(i) };
+            i += step_s * (u - lost_v - self.resistance_ohm * i - self.ke * w) / L_H;
             if self.free {
                 let next = coulomb_step(w, torque, [MC, 0.0, J], step_s);
                 angle += 0.5 * step_s * (w + next);

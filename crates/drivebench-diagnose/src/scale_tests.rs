@@ -90,7 +90,7 @@ fn is_the_same(effect: &'static dyn Effect, here: &Diagnosis, there: &Diagnosis,
             if let (Some(a_value), Some(b_value)) = (a.value, b.value) {
                 // A sag is referred to one supply voltage, whatever the machine's is.
                 let of_supply = if a.key == "sag_ohm" { factors[0].powi(-2) } else { 1.0 };
-                let ratio = b_value / (a_value * of_supply * of_unit(&a.unit, factors));
+                let ratio = b_value / (a_value * of_supply * of_unit(a.unit, factors));
                 assert!((ratio - 1.0).abs() < 0.01, "{id} {}: {ratio} {factors:?}", a.key);
             }
         }

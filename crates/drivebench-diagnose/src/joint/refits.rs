@@ -9,7 +9,7 @@ use super::regression::{Candidate, Linear};
 use super::run::LinearisedRun;
 use super::select::{Posterior, Reduced, Set, without};
 use super::solution::{present, with_event_times};
-use drivebench_model::plant::effect::CATALOGUE;
+use drivebench_model::plant::effect::{Axis, CATALOGUE};
 use drivebench_model::plant::{ActiveEffect, Model, Scenario, effect, typical_size};
 
 /// Prior log odds of an effect that a refit has refuted: practically zero probability. Its negative is added to the log odds of
@@ -102,15 +102,32 @@ fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
     for_two.chain(at_limit)
 }
 
+/// Least share of the rows in motion with a current between a quarter and three quarters of a boundary: the steps of a voltage pass
+/// it in fewer, and a drop and a resistance up to that boundary then have the same values in nearly all rows.
+const LEAST_SHARE_INSIDE: f64 = 0.02;
+
 /// The simpler effect and the richer one of the model whose fitted parameter is within 2 % of the limit where both are equal:
-/// discontinuous conduction with its boundary at the least one of any converter is a voltage drop of the brushes.
+/// discontinuous conduction with its boundary at the least one of any converter is a voltage drop of the brushes. Or hardly any row
+/// is inside the boundary, so that the record has the simpler effect as well.
 pub(super) fn at_limit(model: &Model, scenario: &Scenario) -> Option<[&'static str; 2]> {
     model.effects.iter().find_map(|active| {
         let limit = active.effect.card().limit?;
         let value = active.values_or_guess()[limit.parameter];
         let least = limit.least_in(active.effect, scenario);
-        (value < 1.02 * least).then(|| [limit.simpler, active.id()])
+        let is_over_current = matches!(active.effect.card().curve, Some((_, Axis::Current)));
+        let is_equal = value < 1.02 * least;
+        let is_alike =
+            is_equal || is_over_current && share_inside(value, scenario) < LEAST_SHARE_INSIDE;
+        is_alike.then(|| [limit.simpler, active.id()])
     })
+}
+
+/// Share of the rows in motion that have a current of a quarter to three quarters of `boundary_a`.
+fn share_inside(boundary_a: f64, scenario: &Scenario) -> f64 {
+    let rows = scenario.current_a.iter().zip(&scenario.speed_rad_s);
+    let moving: Vec<f64> = rows.filter(|row| row.1.abs() > 0.0).map(|row| row.0.abs()).collect();
+    let is_inside = |current_a: &&f64| (0.25..0.75).contains(&(**current_a / boundary_a));
+    moving.iter().filter(is_inside).count() as f64 / moving.len().max(1) as f64
 }
 
 /// Posterior of the linear solution.

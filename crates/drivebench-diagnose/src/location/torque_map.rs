@@ -20,7 +20,7 @@ use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::{extent, largest};
+use drivebench_model::numerics::statistics::{extent, largest, median};
 use drivebench_model::plant::{
     Balance, MapBin, MappedTorque, MappedValue, Model, Scenario, TorqueMap,
 };
@@ -34,6 +34,8 @@ const FEWEST_WINDOWS: usize = 4;
 const WINDOWS_EACH: f64 = 2.0;
 /// A window may turn through so much, rad: what it averages then is 95 % of a wave of seven periods per turn.
 const MOST_TURN_RAD: f64 = 0.3;
+/// Windows turn through this share of it at the median speed.
+const TURN_SHARE: f64 = 0.8;
 /// Share of a bin by which the speed of a window may vary (a standard deviation).
 const STEADY_SHARE: f64 = 0.5;
 /// Rounds of the backfitting, and the least spread of speeds, over the square of their mean, that has a slope.
@@ -78,6 +80,11 @@ struct WindowTorque {
     floor_n_m: f64,
 }
 
+fn median_speed(run: &Scenario) -> f64 {
+    let speeds = run.speed_rad_s.iter().map(|speed| speed.abs());
+    median(&speeds.filter(|speed| *speed > 0.0).collect::<Vec<f64>>())
+}
+
 /// The map of a torque from runs with their noise, by the Kt, J and winding of a complete `model`.
 pub fn torque_map(
     of: MappedTorque,
@@ -94,7 +101,11 @@ pub fn torque_map(
     let mut found: Vec<WindowTorque> = Vec::new();
     let mut left_out = Vec::new();
     for (index, (run, noise)) in runs.iter().enumerate() {
-        let windows = Windows::new(&rest, run, noise, FEWEST_HALF)?;
+        let most_s = match of {
+            MappedTorque::Friction => f64::INFINITY,
+            MappedTorque::Cogging => TURN_SHARE * MOST_TURN_RAD / median_speed(run),
+        };
+        let windows = Windows::up_to(most_s, &rest, run, noise, FEWEST_HALF)?;
         if let Some(signal) = windows.missing_signal() {
             left_out.push((index, signal));
             continue;

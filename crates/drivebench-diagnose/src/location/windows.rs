@@ -193,9 +193,20 @@ impl<'a> Windows<'a> {
         noise: &NoiseFloor,
         fewest_half: usize,
     ) -> Result<Self, FitError> {
+        Self::up_to(f64::INFINITY, model, scenario, noise, fewest_half)
+    }
+
+    /// Windows no longer than `most_s`.
+    pub(super) fn up_to(
+        most_s: f64,
+        model: &Model,
+        scenario: &'a Scenario,
+        noise: &NoiseFloor,
+        fewest_half: usize,
+    ) -> Result<Self, FitError> {
         let times = &scenario.sample_time_s;
         let period_s = scenario.mean_period_s();
-        let window_s = scenario.scales.responses(SETTINGS.window_responses);
+        let window_s = scenario.scales.responses(SETTINGS.window_responses).min(most_s);
         let half = whole((0.5 * window_s / period_s).round()).max(fewest_half);
         let prediction = output_error::predict(model, scenario, noise)?;
         let model = &prediction.model;

@@ -1,16 +1,18 @@
 //! A fan with a long duct or a pump with a long pipe.
 
-use super::{Acts, HiddenKind, Mechanism, Moment, NOT_STUDIED, NotNegative, Positive};
+use super::{Acts, HiddenKind, Mechanism, Moment, NotNegative, Positive};
 
 /// Load of `lagged_n_m_s2_per_rad2` times rated speed squared at rated speed, behind a lag of `time_constant_s`.
 pub(super) const KIND: HiddenKind = HiddenKind {
     id: "lagged_load",
     names: &["lagged_load"],
     parameters: &[
-        NotNegative.of("lagged_n_m_s2_per_rad2", "N.m.s2/rad2", 1.8e-6, NOT_STUDIED),
-        Positive.of("time_constant_s", "s", 0.3, NOT_STUDIED),
+        NotNegative.of("lagged_n_m_s2_per_rad2", "N.m.s2/rad2", 1.8e-6, 1.2e-6..2.8e-6),
+        Positive.of("time_constant_s", "s", 0.3, 0.15..0.6),
     ],
-    mystery: None,
+    mystery: Some(|dice| {
+        vec![dice.torque_n_m / (dice.speed_rad_s * dice.speed_rad_s), dice.between(0.15, 0.6)]
+    }),
     acts: Acts::Inside(|values, site| {
         let rated_speed_rad_s = site.motor.rated_speed_rad_s;
         // As measured fans: a power a little below two. The host's catalogue has w |w|.
