@@ -8,8 +8,8 @@ use super::lines;
 use crate::charts::{Claims, reliability};
 use crate::page::{FiguresAndTables, Findings, Grid, share, with};
 use crate::study::{
-    Answer, Bin, Bounded, Calibration, Excitation, Group, MysteryAnswer, Outcome, Study, Tally,
-    coverage, coverage_of, distinct, median_errors, sizes,
+    Answer, Bin, Bounded, Calibration, Excitation, Group, MysteryAnswer, NOTHING, Outcome, Study,
+    Tally, coverage, coverage_of, distinct, median_errors, sizes,
 };
 
 /// Heads of the columns of the matrix: numbers, which a row's label explains.
@@ -63,6 +63,15 @@ impl Study {
             [Group::Single, Group::Null].map(|group| Tally::of(self.of(|a| a.group == group)));
         let excitations = Excitation::ALL.iter();
         let excitations = excitations.map(|own| format!("{}: {}.", own.name(), own.description()));
+        let of_classes = [true, false].map(|is_null| {
+            let of_class = |a: &Answer| matches!(a.group, Group::Class { .. });
+            Tally::of(self.of(|a| of_class(a) && (a.class == NOTHING) == is_null))
+        });
+        let [class_null, class_single] = of_classes;
+        let described = distinct(self.answers.iter().filter_map(|answer| match answer.group {
+            Group::Class { class } => Some(format!("{}: {}.", class.name, class.description)),
+            _ => None,
+        }));
         let columns = self.matrix.columns.iter().enumerate();
         let other_columns =
             columns.filter(|(_, column)| !self.matrix.rows.iter().any(|row| row == *column));
@@ -90,6 +99,9 @@ impl Study {
             "null": nothing,
             "null_wrong": nothing.wrong_share(),
             "excitations": excitations.collect::<Vec<_>>(),
+            "classes": described,
+            "class_single": class_single,
+            "class_null": class_null,
             "other_columns": other_columns.collect::<String>(),
             "contradicted": contradicted(all),
             "missed": missed(all),
@@ -148,7 +160,9 @@ impl Study {
                 "level",
                 std::iter::once(("0".to_owned(), rich)).chain(by_level),
             ))
-            .grid(tallies("harsh-background", "group", harder));
+            .grid(tallies("harsh-background", "group", harder))
+            .grid(tallies("classes", "class", self.by_class(|answer| answer.class != NOTHING)))
+            .grid(tallies("class-nulls", "class", self.by_class(|answer| answer.class == NOTHING)));
         for (group, name) in [
             (Group::Null, "nulls"),
             (Group::Unknown, "unknown"),
@@ -183,6 +197,23 @@ impl Study {
             findings = findings.grid(tallies(name, "excitation", rows));
         }
         findings
+    }
+
+    /// Answers of each class of motor, and of all of them.
+    fn by_class(&self, keep: impl Fn(&Answer) -> bool) -> Vec<(String, Vec<&Answer>)> {
+        let is_of_class = |a: &Answer| matches!(a.group, Group::Class { .. });
+        let own = self.of(|answer| is_of_class(answer) && keep(answer));
+        let names = distinct(own.iter().map(|answer| answer.group.name()));
+        let each = names.into_iter().map(|name| {
+            let of_class = own.iter().copied().filter(|answer| answer.group.name() == name);
+            let of_class = of_class.collect();
+            (name, of_class)
+        });
+        let mut rows: Vec<(String, Vec<&Answer>)> = each.collect();
+        if !rows.is_empty() {
+            rows.push(("all".to_owned(), own));
+        }
+        rows
     }
 
     /// What the intervals of the motor's parameters hold, by group.

@@ -5,6 +5,7 @@ use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
 use super::Size;
+use super::classes::{CLASSES, Class};
 use drivebench::emulator::truth::effect::HiddenEffect;
 use drivebench::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench::plant::{ParameterSpec, effect};
@@ -15,11 +16,16 @@ const BACKGROUND_LEVELS: [f64; 3] = [0.5, 1.0, 2.0];
 const NULLS_PER_SET: u64 = 6;
 /// Machines with nothing but the small effects, in each excitation for each set of a cell.
 const SMALL_PER_SET: u64 = 24;
+/// Machines with one effect, and with nothing hidden, for each set of a class.
+const OF_CLASS: [u64; 2] = [12, 4];
 /// The harder groups use a rich run, a plain one and a slow one; two effects at once the
 /// first two, one among small ones of the first.
 const HARD: [Excitation; 3] = [Excitation::Rich, Excitation::Steps, Excitation::Rich100Hz];
 /// Length of each run, s.
 const SECONDS: f64 = 12.0;
+
+/// The class in tables of machines in which nothing is hidden.
+pub const NOTHING: &str = "nothing";
 
 /// How the machine is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -90,6 +96,10 @@ pub enum Group {
     Noisy,
     /// The runs of [`Self::Single`] and [`Self::Null`], of which rows were lost.
     Lossy,
+    /// A machine of another class: one effect, or nothing.
+    Class {
+        class: &'static Class,
+    },
 }
 
 impl Group {
@@ -105,6 +115,7 @@ impl Group {
             Self::Small => "small effects only".to_owned(),
             Self::Noisy => "three times the noise".to_owned(),
             Self::Lossy => "lost rows".to_owned(),
+            Self::Class { class } => class.name.to_owned(),
         }
     }
 
@@ -172,12 +183,24 @@ impl Case {
         }
     }
 
+    /// The class of its motor, where that is not the reference.
+    pub(super) const fn motor_class(&self) -> Option<&'static Class> {
+        match self.group {
+            Group::Class { class } => Some(class),
+            _ => None,
+        }
+    }
+
+    pub(super) fn period_s(&self) -> f64 {
+        self.motor_class().map_or_else(|| self.excitation.period_s(), |class| class.period_s)
+    }
+
     /// The class in tables: the emulator's ids of what is hidden.
     pub fn class(&self) -> String {
         if self.group == Group::Small {
             BACKGROUND.join(" + ")
         } else if self.hidden.is_empty() {
-            "nothing".to_owned()
+            NOTHING.to_owned()
         } else {
             self.hidden.join(" + ")
         }
@@ -227,6 +250,16 @@ pub(super) fn all(size: Size) -> Vec<Case> {
         }
         add(Group::Small, &[excitation], &nothing, SMALL_PER_SET * sets);
         add(Group::Lossy, &[excitation], &nothing, nulls);
+    }
+    // Every effect in turn, over the classes.
+    let [one, none] = OF_CLASS.map(|each| each * sets);
+    let mut in_turn = (0_u64..).flat_map(|round| known.iter().map(move |hidden| (round, hidden)));
+    for class in &CLASSES {
+        let group = Group::Class { class };
+        let case =
+            |set, hidden: &[&'static str]| Case::new(group, class.excitation, hidden, set, size);
+        cases.extend((0..one).zip(&mut in_turn).map(|(_, (round, hidden))| case(round, hidden)));
+        cases.extend((0..none).map(|set| case(set, &[])));
     }
     cases
 }
@@ -321,6 +354,6 @@ mod tests {
                 }
             }
         }
-        assert_eq!(hash, 0x9ef4_0200_9859_0ad9);
+        assert_eq!(hash, 0x8b70_e17e_11aa_ad97);
     }
 }

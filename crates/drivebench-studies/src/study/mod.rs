@@ -12,6 +12,7 @@
 
 pub(super) mod calibration;
 mod cases;
+mod classes;
 pub mod commission;
 mod judge;
 mod mysteries;
@@ -29,7 +30,8 @@ pub use calibration::{
     Bin, Bounded, Calibration, Coverage, Matrix, ParameterFinding, Sizes, Tally, coverage,
     coverage_of, distinct, matrix, median_errors, sizes,
 };
-pub use cases::{Case, Excitation, Group};
+pub use cases::{Case, Excitation, Group, NOTHING};
+pub use classes::Class;
 pub use judge::{Answer, Finding, Outcome};
 pub use mysteries::{MysteryAnswer, RecordAnswer, files, records};
 
@@ -130,7 +132,9 @@ fn answer(case: &Case) -> Answer {
         Ok(runs) => runs,
         Err(error) => return Answer::failed(case, error.to_string()),
     };
-    let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
+    let reference = BenchFile::embedded_default().motor.motor();
+    let own = case.motor_class().map_or_else(|| reference.clone(), |own| own.nameplate(&reference));
+    let nameplate = Model::baseline(own);
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
     match diagnose(&nameplate, evidence) {
         Ok(diagnosis) => Answer::of(case, &runs.truths, &runs.motor, &diagnosis),

@@ -3,7 +3,7 @@
 //!
 //! The emulator's effects have other forms than the catalogue's, so that a size needs a condition at which both are held
 //! against each other. It is the key's own meaning where that names one (a saturation at rated current, a delay, an
-//! offset, the first harmonic of a wave); for drags the torque at half the rated speed, for friction that falls with
+//! offset, the first harmonic of a wave); for drags the torque at half the rated speed, settled behind a lag, for friction that falls with
 //! speed that at half its own speed, for a drifting field its change six seconds after the start, each divided by that
 //! of the catalogue's form with size one.
 
@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use thiserror::Error;
 
 use super::cases::{drawn, right_names};
-use super::{Case, Excitation, Group};
+use super::{Case, Class, Excitation, Group};
 use drivebench::drive::{DriveLink, LinkError};
 use drivebench::emulator::truth::MotorTruth;
 use drivebench::emulator::truth::effect::{HiddenEffect, Moment, Site};
@@ -67,7 +67,7 @@ const SETTINGS: Settings = Settings {
 };
 
 impl Excitation {
-    const fn period_s(self) -> f64 {
+    pub(super) const fn period_s(self) -> f64 {
         match self {
             Self::Rich100Hz => 0.01,
             _ => 0.001,
@@ -158,11 +158,11 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
     let config = config(case, &mut rng)?;
     let mut run = |name: &str| {
         let program = case.excitation.program(&mut rng, case.seconds)?;
-        let mut rows = exchanged(&config, case.excitation.period_s(), &program, &mut rng)?;
+        let mut rows = exchanged(&config, case, &program, &mut rng)?;
         if case.group == Group::Lossy {
             lose(&mut rows, &mut losses);
         }
-        recorded(name, &rows)
+        recorded(name, &rows, case.motor_class(), &mut rng)
     };
     Ok(Runs {
         fit: run("fit")?,
@@ -175,6 +175,9 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
 /// The specimen: drawn here and not by the drive, whose seed is left for noise and for what is random in an effect.
 fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyError> {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain")?;
+    if let Some(class) = case.motor_class() {
+        config.motor = class.of(&config.motor);
+    }
     config.motor = config.motor.specimen(SETTINGS.tolerance, rng.random());
     config.tolerance = 0.0;
     // The study tests the diagnosis: neither the drive's limiter nor its switches are to take part.
@@ -190,6 +193,11 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.noise.speed_rad_s = noise * SETTINGS.speed_noise_rad_s;
     config.quantisation.current_a = SETTINGS.current_step_a;
     config.quantisation.speed_rad_s = SETTINGS.speed_step_rad_s;
+    if let Some(Class { sensors, .. }) = case.motor_class() {
+        let white = if sensors.memory_s > 0.0 { 0.0 } else { 1.0 };
+        [config.noise.current_a, config.noise.speed_rad_s] = sensors.noise.map(|sd| white * sd);
+        [config.quantisation.current_a, config.quantisation.speed_rad_s] = sensors.step;
+    }
     config.hidden.clear();
     let is_harsh = case.group == Group::Harsh;
     let share = if is_harsh { SETTINGS.harsh_size_ratio } else { 1.0 };
@@ -213,16 +221,17 @@ type Row = (f64, Sample);
 /// Writes the program's voltage and reads the telemetry, period by period.
 fn exchanged(
     config: &EmulatorConfig,
-    period_s: f64,
+    case: &Case,
     program: &Program,
     rng: &mut ChaCha8Rng,
 ) -> Result<Vec<Row>, StudyError> {
+    let period_s = case.period_s();
     let clock = VirtualClock::new();
     let no_wire = Latency { request_s: 0.0, reply_s: 0.0 };
     let drive = SoftDrive::new(config, rng.random());
     let mut link = MemoryLink::new(drive, clock.clone(), no_wire);
     let mut rows: Vec<Row> = Vec::new();
-    let late_s = if period_s > 0.005 { SETTINGS.late_s } else { 0.0 };
+    let late_s = if case.excitation == Excitation::Rich100Hz { SETTINGS.late_s } else { 0.0 };
     let mut seq = 0;
     loop {
         let due_s = seq as f64 * period_s;
@@ -257,16 +266,28 @@ fn lose(rows: &mut Vec<Row>, rng: &mut ChaCha8Rng) {
     });
 }
 
-/// The rows as a recorder would have written them: the command at the drive time at which it was applied, and the sample.
-fn recorded(name: &str, rows: &[Row]) -> Result<Scenario, StudyError> {
+/// The rows as a recorder would have written them: the command at the drive time at which it was applied, and the sample. A log of
+/// another class has its sensors and columns, and no angle.
+fn recorded(
+    name: &str,
+    rows: &[Row],
+    class: Option<&Class>,
+    rng: &mut ChaCha8Rng,
+) -> Result<Scenario, StudyError> {
     let mut run = Run::new(name, rows.iter().map(|(_, sample)| sample.time_s).collect())?;
     // Without latency a command is applied at the instant of its own sample.
-    let commands = rows.iter().map(|(volts, _)| *volts).collect();
-    run.set_column(Channel::VoltageCmd, commands, Origin::Commanded)?;
-    for channel in [Channel::Current, Channel::Speed, Channel::Angle] {
+    let commands: Vec<f64> = rows.iter().map(|(volts, _)| *volts).collect();
+    let signals = [Channel::Current, Channel::Speed, Channel::Angle].map(|channel| {
         let cells = rows.iter().map(|(_, sample)| sample.get(channel));
-        let cells = cells.map(|cell| cell.unwrap_or(f64::NAN)).collect();
-        run.set_column(channel, cells, Origin::Measured)?;
+        (channel, cells.map(|cell| cell.unwrap_or(f64::NAN)).collect::<Vec<f64>>())
+    });
+    let mut columns = vec![(Channel::VoltageCmd, commands, Origin::Commanded)];
+    columns.extend(signals.map(|(channel, cells)| (channel, cells, Origin::Measured)));
+    if let Some(class) = class {
+        class.make_log(&mut columns, rng);
+    }
+    for (channel, cells, origin) in columns {
+        run.set_column(channel, cells, origin)?;
     }
     Ok(Scenario::from_run(&run)?)
 }
@@ -316,6 +337,18 @@ fn size(hidden: &HiddenEffect, id: &str, site: &Site) -> Option<f64> {
             let torque_n_m = hidden.mechanism(site)?.drag_torque_n_m(speed_rad_s);
             let of_size_one = of_catalogue.terms(&[1.0]).torque_n_m(&at_speed(speed_rad_s), &[]);
             Some(torque_n_m / of_size_one)
+        }
+        "lagged_load" | "lagged_drag" => {
+            let speed_rad_s = 0.5 * site.motor.rated_speed_rad_s;
+            let lag_s = hidden.value("time_constant_s")?;
+            let mut column = hidden.mechanism(site)?;
+            let at = Moment { speed_rad_s, ..Moment::default() };
+            // Until it has settled.
+            (0..1000).for_each(|_| column.advance(0.02 * lag_s, &at, 0.0));
+            let terms = of_catalogue.terms(&[1.0, lag_s]);
+            let mut own = [0.0];
+            terms.advance(&at_speed(speed_rad_s), &mut own, 20.0 * lag_s);
+            Some(column.load_torque_n_m(&at) / terms.torque_n_m(&at_speed(speed_rad_s), &own))
         }
         "stribeck_friction" => {
             let own_rad_s = hidden.value("stribeck_speed_rad_s")?;
@@ -397,6 +430,7 @@ mod tests {
             ("quadratic_load", "quadratic_n_m_s2_per_rad2 = 2e-6", fan),
             ("field_change", "drift_per_s = -4e-3", drift),
             ("exponential_stribeck", "stribeck_n_m = 0.1\nstribeck_speed_rad_s = 8.0", film),
+            ("lagged_load", "lagged_n_m_s2_per_rad2 = 2e-6\ntime_constant_s = 0.3", fan),
             ("cogging", "order = 6\nsin_n_m = 0.03\ncos_n_m = -0.04", 0.05),
         ] {
             let size = size_of(&format!("id = {id:?}\n{settings}"));
