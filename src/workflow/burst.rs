@@ -10,7 +10,7 @@ use super::keyed::with_keys;
 use drivebench_diagnose::{Diagnosis, Evidence, Status, diagnose};
 use drivebench_identify::output_error::FitError;
 use drivebench_identify::{start, weak_form};
-use drivebench_model::plant::{ActiveEffect, Balance, Model, MotorKey, Scenario};
+use drivebench_model::plant::{Balance, Effect, Model, MotorKey, Scenario, effect};
 use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::text::number::{fixed, with_std};
 
@@ -113,8 +113,15 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     }
     let diagnosis = diagnose(&model, Evidence::new(burst.clone(), None, None))?;
     let mut with = diagnosis.model.model;
-    let of_circuit = |active: &ActiveEffect| active.effect.card().enters.includes(Balance::Voltage);
-    with.effects.retain(of_circuit);
+    let of_circuit = |effect: &dyn Effect| effect.card().enters.includes(Balance::Voltage);
+    with.effects.retain(|active| of_circuit(active.effect));
+    if with.effects.is_empty() {
+        // What the record does not distinguish from an effect elsewhere.
+        let rivals = diagnosis.confusable.iter().filter_map(|pair| effect::find(pair[1]));
+        if let Some(rival) = rivals.into_iter().find(|rival| of_circuit(*rival)) {
+            with = with.with_effect(rival.card().id)?;
+        }
+    }
     let better = VoltageBalance::of(&with, burst);
     let is_significant = |id: &&str| better.is_significant(id);
     let found: Vec<&'static str> = with.effect_ids().into_iter().filter(is_significant).collect();
@@ -122,8 +129,13 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     if found.is_empty() || better.rms_v > 0.7 * plain.rms_v {
         return Ok(plain.result(None, residual));
     }
-    let mut confusable = diagnosis.confusable;
-    confusable.retain(|pair| found.contains(&pair[0]));
+    let mut confusable: Vec<[&'static str; 2]> = Vec::new();
+    for [named, rival] in diagnosis.confusable {
+        let pair = if found.contains(&rival) { [rival, named] } else { [named, rival] };
+        if found.contains(&pair[0]) {
+            confusable.push(pair);
+        }
+    }
     let either = |id: &&'static str| {
         let rivals = confusable.iter().filter(|pair| pair[0] == *id);
         std::iter::once(*id).chain(rivals.map(|pair| pair[1])).collect::<Vec<&str>>().join(" or ")

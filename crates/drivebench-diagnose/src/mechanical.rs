@@ -39,8 +39,6 @@ use drivebench_model::signal;
 struct Settings {
     /// Rows below which a balance is not fitted.
     fewest_rows: usize,
-    /// Shortest block of the clustered covariance, s.
-    block_s: f64,
     /// Fewest such blocks.
     fewest_blocks: f64,
     /// Intervals of a fit whose residual is not white are this much wider.
@@ -70,7 +68,6 @@ struct Settings {
 
 const SETTINGS: Settings = Settings {
     fewest_rows: 30,
-    block_s: 0.25,
     fewest_blocks: 20.0,
     widened: 2.0,
     not_white_correlation: 0.4,
@@ -614,7 +611,7 @@ fn not_in_the_balance(model: &Model, slot: &Slot) -> ParameterEstimate {
 /// Blocks of at least five correlation times of the residual, but never fewer than twenty.
 fn blocks(rows: &TorqueRows, residual: &[f64]) -> Vec<usize> {
     let five_s = 5.0 * correlation_time_s(&rows.time_s, residual);
-    let block_s = SETTINGS.block_s.max(five_s).min(span_s(rows) / SETTINGS.fewest_blocks);
+    let block_s = rows.scales.block_s().max(five_s).min(span_s(rows) / SETTINGS.fewest_blocks);
     let block_s = block_s.max(f64::MIN_POSITIVE);
     rows.time_s.iter().map(|time_s| whole((time_s - rows.time_s[0]) / block_s)).collect()
 }

@@ -130,9 +130,7 @@ pub(super) const fn why_open(why: WhyOpen) -> &'static str {
         WhyOpen::FarFromNoise => {
             "the residuals of the best model are several times the noise, so that its bounds do not hold"
         }
-        WhyOpen::DependsOnPast => {
-            "a torque of unknown form depends on the past of the speed, as lags and filters make it"
-        }
+        WhyOpen::DependsOnPast => "a torque of unknown form depends on the past of the speed",
     }
 }
 

@@ -93,9 +93,9 @@ impl RunScales {
         let current_a = winding.map_or(largest_a, |[resistance, ..]| largest_a / resistance);
         let of_length = Self::REFERENCE.response_s / Self::REFERENCE.length_s * length_s;
         let response_s = response_s(scenario, &intervals, winding).unwrap_or(of_length);
-        // A tenth of a period is not observable, and a twentieth of the run is no response but a drift. A balance of torques needs a
+        // A tenth of a period is not observable, and a tenth of the run is no response but a drift. A balance of torques needs a
         // hundred windows.
-        let most = if scenario.input == Input::Voltage { 0.05 } else { 0.01 };
+        let most = if scenario.input == Input::Voltage { 0.1 } else { 0.01 };
         let (least_s, most_s) = (0.1 * period_s, most * length_s);
         let response_s = response_s.min(most_s).max(least_s);
         let scales = Self { current_a, speed_rad_s, response_s, period_s, length_s };

@@ -6,6 +6,7 @@ use serde::Serialize;
 
 use super::Size;
 use super::classes::{CLASSES, Class};
+use super::record::LATE_SPEED;
 use drivebench::emulator::truth::effect::HiddenEffect;
 use drivebench::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench::plant::{ParameterSpec, effect};
@@ -161,10 +162,15 @@ impl Case {
         set: u64,
         size: Size,
     ) -> Self {
+        let late = match group {
+            Group::Class { class } => class.late().map(|_| LATE_SPEED.to_vec()),
+            _ => None,
+        };
         let right = match group {
             Group::Small => BACKGROUND.iter().map(|id| vec![*id]).collect(),
             _ => (hidden.iter().map(|id| right_names(id)))
                 .filter(|names| !names.is_empty())
+                .chain(late)
                 .collect(),
         };
         let cell = format!(

@@ -9,6 +9,7 @@ use rand_distr::StandardNormal;
 use serde::Serialize;
 
 use super::Excitation;
+use super::record::Truth;
 use drivebench::emulator::truth::MotorTruth;
 use drivebench::numerics::count::whole;
 use drivebench::plant::{Motor, MotorKey};
@@ -204,6 +205,12 @@ impl Class {
         motor.inertia_kg_m2 *= inertia;
         motor.load_torque_n_m *= friction;
         motor
+    }
+
+    /// What its sensors add: a difference of counts is the speed in the middle of the period before.
+    pub(super) fn late(&self) -> Option<Truth> {
+        let is_counted = matches!(self.sensors.speed, SpeedFrom::Counts(_));
+        is_counted.then(|| Truth::late_speed(0.5 * self.period_s))
     }
 
     /// Its nameplate.

@@ -164,10 +164,11 @@ pub(super) fn runs(case: &Case) -> Result<Runs, StudyError> {
         }
         recorded(name, &rows, case.motor_class(), &mut rng)
     };
+    let late = case.motor_class().and_then(Class::late);
     Ok(Runs {
         fit: run("fit")?,
         holdout: run("hold-out")?,
-        truths: truths(&config.hidden, &config.motor),
+        truths: truths(&config.hidden, &config.motor).into_iter().chain(late).collect(),
         motor: config.motor.clone(),
     })
 }
@@ -194,6 +195,9 @@ fn config(case: &Case, rng: &mut ChaCha8Rng) -> Result<EmulatorConfig, StudyErro
     config.quantisation.current_a = SETTINGS.current_step_a;
     config.quantisation.speed_rad_s = SETTINGS.speed_step_rad_s;
     if let Some(Class { sensors, .. }) = case.motor_class() {
+        // A small inductance lets a reversal draw twice the stall current, and a large inertia keeps it for seconds.
+        config.limits.current_limit_a = 1000.0;
+        config.limits.winding_limit_c = 1e5;
         let white = if sensors.memory_s > 0.0 { 0.0 } else { 1.0 };
         [config.noise.current_a, config.noise.speed_rad_s] = sensors.noise.map(|sd| white * sd);
         [config.quantisation.current_a, config.quantisation.speed_rad_s] = sensors.step;
@@ -292,6 +296,9 @@ fn recorded(
     Ok(Scenario::from_run(&run)?)
 }
 
+/// Names of a speed that is late.
+pub(super) const LATE_SPEED: [&str; 2] = ["speed_delay", "speed_filter"];
+
 /// One effect that is there, and that the catalogue has a name for.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Truth {
@@ -311,6 +318,11 @@ pub(super) fn truths(hidden: &[HiddenEffect], motor: &MotorTruth) -> Vec<Truth> 
 }
 
 impl Truth {
+    /// A speed that is late by this time.
+    pub(super) fn late_speed(by_s: f64) -> Self {
+        Self { names: LATE_SPEED.map(|id| (id, Some(by_s))).to_vec(), order: None }
+    }
+
     fn of(hidden: &HiddenEffect, site: &Site) -> Self {
         let names = right_names(hidden.id()).into_iter();
         Self {

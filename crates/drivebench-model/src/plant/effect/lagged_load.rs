@@ -22,6 +22,8 @@ pub(super) const EFFECT: Card = Card {
     excite: "steps between high and low speeds both ways, held for several times the lag",
     remedy: "expected where a fan or pump moves a long column; feed forward k times w|w| behind the \
         same lag",
+    // Of opposite signs they are any hysteresis.
+    excludes: &["lagged_drag"],
     limit: Some(Limit { simpler: "quadratic_load", parameter: 1, least: LEAST_LAG_S }),
     parameters: &[ParameterSpec::coefficient("lagged_n_m_s2_per_rad2", "N.m.s2/rad2", 1.5e-6), LAG],
     formula: &[
