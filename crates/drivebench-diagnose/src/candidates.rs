@@ -153,6 +153,7 @@ pub(super) fn candidates(
     let ends_s = evidence.training.sample_time_s.last();
     let run_s = ends_s.map_or(0.0, |last_s| last_s - evidence.training.begin_s());
     let base = &rungs[0];
+    let is_explained = rungs.last().is_some_and(|last| floor.is_reached(last.score.nrms));
     let has_no_scale = has_no_scale(&best.parameters, &evidence.training);
     let explainable = base.score.nrms.powi(2) - floor.expected().powi(2);
     let candidate = |(rank, inferred): (usize, &Inferred)| {
@@ -166,7 +167,14 @@ pub(super) fn candidates(
             Status::NotExcited => inferred.why_not.is_none(),
             Status::Supported | Status::Possible => false,
         };
-        let open = why_open.filter(|_| is_open);
+        let searched = searched(inferred.effect, &evidence.training);
+        // Of a coupling the shapes between those that were tried have no bound.
+        let is_shape_open = status == Status::RuledOut
+            && !is_explained
+            && inferred.upper_bound.is_none()
+            && !searched.is_empty();
+        let open = (why_open.filter(|_| is_open))
+            .or_else(|| is_shape_open.then_some(WhyOpen::OtherShapes));
         // A vetoed effect is not supported, whatever its probability.
         let status = match veto {
             _ if open.is_some() => Status::NotExcited,
@@ -209,7 +217,7 @@ pub(super) fn candidates(
             as_good_as: None,
             // A named effect has an interval instead.
             upper_bound: bound.filter(|_| rung.is_none() && why_open.is_none()),
-            searched: searched(inferred.effect, &evidence.training),
+            searched,
             detectable: least.filter(|_| why_open.is_none()),
             finding: match (open, inferred.why_not) {
                 (Some(why), _) => CandidateFinding::LeftOpen(why),

@@ -130,6 +130,7 @@ pub(super) const fn why_open(why: WhyOpen) -> &'static str {
         WhyOpen::FarFromNoise => {
             "the residuals of the best model are several times the noise, so that its bounds do not hold"
         }
+        WhyOpen::OtherShapes => "an error is left, and only some of its shapes were tried",
         WhyOpen::DependsOnPast => "a torque of unknown form depends on the past of the speed",
     }
 }

@@ -5,10 +5,11 @@ use super::events::Event;
 use super::kalman::Noise;
 use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY};
 use super::noise::initial_noise;
+use super::nuisances::column_of;
 pub(crate) use super::prediction_error::{Led, led, refined, with_deviations};
 use super::refits::at_limit;
 use super::regression::Candidate;
-use super::rivals::{confusable, share_among_events, share_at_limit};
+use super::rivals::{confusable, share_among_events, share_at_limit, share_without_current};
 use super::search::{self, SearchResult};
 use super::select::Set;
 use super::solution::{FittedEvent, at_solution};
@@ -23,7 +24,10 @@ use drivebench_identify::noise::FloorSource;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::plant::effect::CATALOGUE;
-use drivebench_model::plant::{ActiveEffect, Effect, Model, MotorKey, Scenario, State};
+use drivebench_model::plant::{
+    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, State,
+};
+use nalgebra::DVector;
 use serde::Serialize;
 
 /// Part of a run in the diagnosis.
@@ -318,6 +322,17 @@ pub(crate) fn infer(
     if let Some(pair) = at_limit(&found.hypothesis.model, &runs[0]) {
         share_at_limit(pair, &mut effects, &mut confusable);
     }
+    let has_current = runs[0].current_a.iter().any(|current_a| current_a.is_finite());
+    let by_voltage = runs[0].input == Input::Voltage;
+    if by_voltage && !has_current {
+        share_without_current(&mut effects, &mut confusable);
+    }
+    if by_voltage && !is_inductance_known(&found, &runs[0]) {
+        let is_hidden = |own: &&mut Inferred| {
+            own.probability < NAMED_PROBABILITY && changes_inductance(own.effect)
+        };
+        effects.iter_mut().filter(is_hidden).for_each(Inferred::leave_open);
+    }
     let probability = |id: &str| {
         let own = effects.iter().find(|own| own.id() == id);
         own.map_or(0.0, |own| own.probability)
@@ -381,6 +396,32 @@ fn runs_of(evidence: &Evidence, count: usize) -> Vec<RunPosition> {
         }
     };
     (0..count).map(position).collect()
+}
+
+/// Relative deviation above which a parameter is not known: an effect that takes it to zero then hardly shows.
+const KNOWN_DEVIATION: f64 = 0.1;
+
+/// Whether the runs determine the inductance beside all effects.
+fn is_inductance_known(found: &SearchResult, scenario: &Scenario) -> bool {
+    let (reduced, linear) = (&found.reduced, &found.reduced.linear);
+    let m = linear.nuisances.len();
+    let column = column_of(MotorKey::Inductance, &found.hypothesis.model, scenario);
+    // One that is fixed is known.
+    let Some(column) = column else {
+        return true;
+    };
+    let chosen = reduced.columns(&found.posterior.best).into_iter().map(|own| m + own);
+    let columns: Vec<usize> = (0..m).chain(chosen).collect();
+    let mut unit = DVector::zeros(columns.len());
+    unit[column] = 1.0;
+    let variance = linear.factor(&columns).map(|factor| factor.solve(&unit)[column]);
+    variance.is_some_and(|variance| (found.excess * variance).sqrt() < KNOWN_DEVIATION)
+}
+
+fn changes_inductance(effect: &dyn Effect) -> bool {
+    let guesses: Vec<f64> = effect.parameters().iter().map(ParameterSpec::guess).collect();
+    let at = Instant { current_a: 1.0, ..Instant::default() };
+    effect.terms(&guesses).current_rate_gain(&at) != 0.0
 }
 
 /// The unknown functions that are probable and explain more than 3 % of the error of a free run; one that changes only the

@@ -37,6 +37,12 @@ impl Inferred {
         self.effect.card().id
     }
 
+    /// The runs do not show it: neither bound nor detectable size.
+    pub(super) fn leave_open(&mut self) {
+        self.excited = false;
+        (self.upper_bound, self.detectable) = (None, None);
+    }
+
     /// Marginal of an eligible effect.
     pub(super) fn of(effect: &'static dyn Effect, found: &SearchResult) -> Self {
         let (reduced, posterior) = (&found.reduced, &found.posterior);

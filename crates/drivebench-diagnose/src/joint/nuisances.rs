@@ -50,6 +50,15 @@ pub(super) fn motor_prior(key: MotorKey, model: &Model, scenario: &Scenario) -> 
     }
 }
 
+/// The column of a free parameter of the motor among the nuisances.
+pub(super) fn column_of(key: MotorKey, model: &Model, scenario: &Scenario) -> Option<usize> {
+    let mut own = model.free_slots().into_iter().filter(|slot| match slot {
+        Slot::Motor(key) => motor_prior(*key, model, scenario).is_some(),
+        Slot::Effect { .. } => false,
+    });
+    own.position(|slot| matches!(slot, Slot::Motor(own) if own == key))
+}
+
 /// The nuisances that are always included: the motor's parameters, and one error each of the stamps of command, current and speed,
 /// equal for all samples; with their prior deviations.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {

@@ -278,6 +278,10 @@ mod tests {
         assert_eq!(at_limit(&gaps(1.4, least_boundary_a), &run), Some(brushes));
         assert_eq!(at_limit(&gaps(1.4, 1.5 * least_boundary_a), &run), None);
         assert_eq!(at_limit(&truth("voltage_drop", &[0.9]), &run), None);
+        // No row has a current inside the boundary.
+        let mut beyond = run;
+        beyond.current_a.iter_mut().for_each(|current_a| *current_a = 3f64.copysign(*current_a));
+        assert_eq!(at_limit(&gaps(1.4, 2.5), &beyond), Some(brushes));
         // A small drop hardly shows, whatever its form; of a large one the form does.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
             let machine = gaps(extra_ohm, least_boundary_a);

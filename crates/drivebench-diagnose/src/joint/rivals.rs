@@ -126,6 +126,20 @@ pub(super) fn share_at_limit(
     }
 }
 
+/// Without a current a voltage offset and a constant load are the same drive: the probable one of them stands for both.
+pub(super) fn share_without_current(
+    effects: &mut [Inferred],
+    confusable: &mut Vec<[&'static str; 2]>,
+) {
+    const ALIKE: [&str; 2] = ["voltage_offset", "constant_load"];
+    let of = |id: &str| effects.iter().find(|own| own.id() == id);
+    let probable = |id: &&str| of(id).is_some_and(|own| own.probability > NAMED_PROBABILITY);
+    if let Some(named) = ALIKE.into_iter().find(probable) {
+        let other = ALIKE[usize::from(named == ALIKE[0])];
+        share_at_limit([other, named], effects, confusable);
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::marginal::TOGETHER_PROBABILITY;
@@ -142,6 +156,20 @@ mod tests {
             upper_bound: Some(0.18),
             detectable: Some(0.05),
             log_odds: 0.0,
+        }
+    }
+
+    #[test]
+    fn without_a_current_an_offset_and_a_load_are_one_of_two() {
+        for (probabilities, expected) in [([1.0, 0.03], true), ([0.2, 0.1], false)] {
+            let [offset, load] = probabilities;
+            let mut effects =
+                [inferred_as("voltage_offset", offset), inferred_as("constant_load", load)];
+            let mut pairs = vec![];
+            share_without_current(&mut effects, &mut pairs);
+            assert_eq!(pairs == [["voltage_offset", "constant_load"]], expected);
+            assert_eq!(effects[0].probability < offset, expected);
+            assert_eq!(effects[1].upper_bound.is_none(), expected);
         }
     }
 

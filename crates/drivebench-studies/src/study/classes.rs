@@ -213,11 +213,15 @@ impl Class {
         is_counted.then(|| Truth::late_speed(0.5 * self.period_s))
     }
 
-    /// Its nameplate.
-    pub(super) fn nameplate(&self, reference: &Motor) -> Motor {
+    /// Its nameplate; without a voltage with the torque constant of the specimen, of which inertia and friction are multiples.
+    pub(super) fn nameplate(&self, reference: &Motor, back_emf_v_s_per_rad: f64) -> Motor {
+        let mut reference = reference.clone();
+        if self.log == Log::WithoutVoltage {
+            reference.set(MotorKey::BackEmf, back_emf_v_s_per_rad);
+        }
         let keys = [MotorKey::Inductance, MotorKey::Inertia, MotorKey::LoadTorque];
         let factors = keys.into_iter().zip(self.motor);
-        factors.fold(reference.clone(), |motor, (key, factor)| {
+        factors.fold(reference, |motor, (key, factor)| {
             let value = motor.get(key).map(|value| factor * value);
             value.map_or_else(|| motor.clone(), |value| motor.clone().with(key, value))
         })

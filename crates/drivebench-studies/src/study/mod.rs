@@ -133,7 +133,10 @@ fn answer(case: &Case) -> Answer {
         Err(error) => return Answer::failed(case, error.to_string()),
     };
     let reference = BenchFile::embedded_default().motor.motor();
-    let own = case.motor_class().map_or_else(|| reference.clone(), |own| own.nameplate(&reference));
+    let own = case.motor_class().map_or_else(
+        || reference.clone(),
+        |own| own.nameplate(&reference, runs.motor.back_emf_v_s_per_rad),
+    );
     let nameplate = Model::baseline(own);
     let evidence = Evidence::new(runs.fit, Some(runs.holdout), None);
     match diagnose(&nameplate, evidence) {
