@@ -41,6 +41,10 @@ type Known = (f64, usize, f64);
 /// Fewest samples at rest for a standard deviation.
 pub const FEWEST_SAMPLES: usize = 20;
 
+/// Fewest of a second signal, as of a speed that a drive renews less often: known to a quarter, which the tolerance takes into
+/// account.
+pub const FEWEST_BESIDE: usize = 8;
+
 impl NoiseFloor {
     /// Whether an error in units of the floor is that of a correct model.
     pub fn is_at_the_floor(&self, nrms: f64) -> bool {
@@ -69,7 +73,7 @@ impl NoiseFloor {
         // `None`: no variation. `Some(0)`: a signal that varies but is exactly constant at rest, as a simulated one.
         let floor = |values: &[f64]| -> Option<Known> {
             let at_rest = finite(&values[rows.clone()]);
-            if at_rest.len() < FEWEST_SAMPLES {
+            if at_rest.len() < FEWEST_BESIDE {
                 return None;
             }
             let settled = settled(&at_rest);
@@ -88,6 +92,11 @@ impl NoiseFloor {
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
         let speed = floor(&scenario.speed_rad_s);
         let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
+        let most = [&scenario.current_a, &scenario.speed_rad_s]
+            .map(|values| finite(&values[rows.clone()]).len());
+        if most.into_iter().max()? < FEWEST_SAMPLES {
+            return None;
+        }
         // A standard deviation of zero is not that of a sensor.
         let known = || current.iter().chain(&speed);
         if known().any(|(level, ..)| *level <= 0.0) {

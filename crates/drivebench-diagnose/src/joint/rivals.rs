@@ -3,6 +3,7 @@
 use super::marginal::{Inferred, NAMED_PROBABILITY};
 use super::search::SearchResult;
 use super::select::{Set, without};
+use drivebench_model::plant::effect::TermKind;
 
 /// Two effects of which the runs support one without distinguishing which.
 pub(super) struct Rival {
@@ -131,11 +132,11 @@ pub(super) fn share_without_current(
     effects: &mut [Inferred],
     confusable: &mut Vec<[&'static str; 2]>,
 ) {
-    const ALIKE: [&str; 2] = ["voltage_offset", "constant_load"];
+    let alike = [TermKind::VoltageOffset, TermKind::TorqueOffset].map(TermKind::id);
     let of = |id: &str| effects.iter().find(|own| own.id() == id);
     let probable = |id: &&str| of(id).is_some_and(|own| own.probability > NAMED_PROBABILITY);
-    if let Some(named) = ALIKE.into_iter().find(probable) {
-        let other = ALIKE[usize::from(named == ALIKE[0])];
+    if let Some(named) = alike.into_iter().find(probable) {
+        let other = alike[usize::from(named == alike[0])];
         share_at_limit([other, named], effects, confusable);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     Card, Effect, command_delay, constant_load, current_filter, speed_delay, viscous_friction,
-    voltage_drop,
+    voltage_drop, voltage_offset,
 };
 
 use crate::plant::scenario::Scenario;
@@ -17,6 +17,8 @@ pub enum TermKind {
     Drag,
     /// Constant torque.
     TorqueOffset,
+    /// Constant voltage.
+    VoltageOffset,
     /// Delay of the command, of the current (to first order, as a filter) and of the speed.
     LateCommand,
     LateCurrent,
@@ -37,6 +39,7 @@ impl TermKind {
         match self {
             Self::Drag => &viscous_friction::EFFECT,
             Self::TorqueOffset => &constant_load::EFFECT,
+            Self::VoltageOffset => &voltage_offset::EFFECT,
             Self::LateCommand => &command_delay::EFFECT,
             Self::LateCurrent => &current_filter::EFFECT,
             Self::LateSpeed => &speed_delay::EFFECT,
