@@ -3,11 +3,12 @@
 use std::ops::Range;
 
 use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::speed_from_angle;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{
-    autocorrelation, extent, finite, mean, robust_deviation, variance,
+    autocorrelation, extent, finite, mean, median, robust_deviation, variance,
 };
 use drivebench_model::plant::{Input, Scenario};
 
@@ -78,7 +79,7 @@ impl NoiseFloor {
             }
             let settled = settled(&at_rest);
             let quantum = quantum(values).unwrap_or(0.0);
-            let level = standard_deviation(settled).max(quantum_noise(quantum));
+            let level = in_motion(settled, quantum);
             let (least, most) = extent(finite(values));
             // Equal values of a signal with less noise than its resolution are not an autocorrelation.
             let memory = if level > quantum { memory(settled) } else { 0.0 };
@@ -227,6 +228,27 @@ fn quantum_noise(quantum: f64) -> f64 {
     quantum / 12f64.sqrt()
 }
 
+/// Noise in motion, of the samples at rest. A signal that is coarser than its noise stands still at rest, where it is a multiple of
+/// its quantum; in motion the rounding adds to the noise, of which the share of the samples that flip to a neighbour is the measure.
+fn in_motion(at_rest: &[f64], quantum: f64) -> f64 {
+    let level = standard_deviation(at_rest);
+    if level >= quantum {
+        return level;
+    }
+    let middle = median(at_rest);
+    let beyond = |side: f64| at_rest.iter().filter(move |v| side * (**v - middle) > 0.5 * quantum);
+    let [above, below] = [1.0, -1.0].map(|side| beyond(side).count());
+    // One that flips to one side is offset by an unknown part of the quantum.
+    let is_centred = above.min(below) * 4 >= above.max(below) && above > 0;
+    let share = (above + below) as f64 / at_rest.len() as f64;
+    let deviations = Normal::standard().inverse_cdf(1.0 - 0.5 * share);
+    if is_centred {
+        (0.5 * quantum / deviations).hypot(quantum_noise(quantum))
+    } else {
+        level.max(quantum_noise(quantum))
+    }
+}
+
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
 fn quantum(values: &[f64]) -> Option<f64> {
     let mut sorted = finite(values);
@@ -265,6 +287,8 @@ mod tests {
     use super::*;
     use crate::testing::{every, run_of};
     use drivebench_model::sample::{Channel, Origin};
+    use rand::SeedableRng as _;
+    use rand_distr::Distribution as _;
 
     fn scenario(standstill: usize, speed: impl Fn(usize) -> f64) -> Scenario {
         let volts = |k| if k < standstill { 0.0 } else { 10.0 };
@@ -299,6 +323,23 @@ mod tests {
         assert!(stopped.samples < 80);
         for floor in [rest, stopped] {
             assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
+        }
+    }
+
+    #[test]
+    fn rounding_adds_in_motion_to_a_noise_that_hardly_shows_at_rest() {
+        let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(3);
+        let sigma = rand_distr::Normal::new(0.0, 0.6).unwrap();
+        let noise: Vec<f64> = (0..400).map(|_| sigma.sample(&mut rng)).collect();
+        for (quantum, expected, within) in
+            [(2.4, 0.6_f64.hypot(2.4 / 12f64.sqrt()), 0.12), (0.3, 0.61, 0.12)]
+        {
+            let speed = |k: usize| {
+                let turns = if k < 200 { 0.0 } else { 1.7 * (k - 200) as f64 };
+                quantum * ((turns + noise[k]) / quantum).round()
+            };
+            let found = floor(200, speed).unwrap().speed_rad_s;
+            assert!((found / expected - 1.0).abs() < within, "{quantum}: {found}");
         }
     }
 
