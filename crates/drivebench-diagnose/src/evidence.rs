@@ -6,7 +6,7 @@ use serde::Serialize;
 
 use super::limits::{Limit, LongRun, SearchedPart, SetAside, Unjudged};
 use super::score::{Score, SignalScore, varies};
-use drivebench_identify::noise::{FEWEST_SAMPLES, FloorSource, NoiseFloor, samples_at_rest};
+use drivebench_identify::noise::{FEWEST_BESIDE, FloorSource, NoiseFloor, samples_at_rest};
 use drivebench_identify::output_error::{self, Fit, FitError};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{finite, variance};
@@ -305,7 +305,7 @@ impl Evidence {
             FloorSource::Standstill => {
                 let runs = [&self.training, &self.holdout].into_iter();
                 let most = runs.map(|run| samples_at_rest(run, signal(run))).max();
-                Unjudged::FewAtRest { samples: most.unwrap_or(0), needed: FEWEST_SAMPLES }
+                Unjudged::FewAtRest { samples: most.unwrap_or(0), needed: FEWEST_BESIDE }
             }
             FloorSource::Repeat => Unjudged::FewRepeated { needed: FEWEST_DIFFERENCES },
             FloorSource::None => Unjudged::NothingLeft,

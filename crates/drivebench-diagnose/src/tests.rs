@@ -200,8 +200,8 @@ fn an_absent_effect_is_refused_and_a_present_one_is_kept() {
 fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
     let mut data = evidence(&truth("quadratic_load", &[2e-6]), 8);
     for run in [&mut data.training, &mut data.holdout] {
-        // Of the 125 samples at rest only the last ten show the current.
-        run.current_a[..115].fill(f64::NAN);
+        // Of the 125 samples at rest only the last seven show the current.
+        run.current_a[..118].fill(f64::NAN);
     }
     let data = Evidence::new(data.training, Some(data.holdout), None);
     assert!(data.noise.current_a.is_infinite() && data.noise.speed_rad_s.is_finite());
@@ -209,7 +209,7 @@ fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
     let [limit] = &found.limits[..] else {
         panic!("{:?}", found.limits);
     };
-    let why = Unjudged::FewAtRest { samples: 10, needed: 20 };
+    let why = Unjudged::FewAtRest { samples: 7, needed: 8 };
     assert_eq!(*limit, Limit::SignalUnjudged { signal: "current", why });
     assert_eq!(found.effect, Some("quadratic_load"));
     let compared = compared(data);
