@@ -182,9 +182,13 @@ fn a_start_delay_seen_in_one_small_command_only_is_not_named() {
     let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.effects, ["stribeck_friction"]);
     // More probable than not by the innovations, it is vetoed because it lowers no error, and it is not detectable in the
-    // run; the veto does not change its probability.
+    // run; the veto leaves the mean of posterior and prior.
     let late = candidate(&found, "start_delay");
-    assert!(late.probability > 0.5 && late.status == Status::NotExcited, "{}", late.probability);
+    assert!(
+        (0.3..0.55).contains(&late.probability) && late.status == Status::NotExcited,
+        "{}",
+        late.probability
+    );
     assert!(late.not_named.is_some(), "{late:?}");
 }
 

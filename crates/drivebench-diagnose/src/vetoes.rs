@@ -2,7 +2,7 @@
 //!
 //! A posterior compares sets of effects under a linearised model. Whether the refitted model with an effect is a better one is
 //! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
-//! chance, and to leave an inertia above zero. No veto changes a probability.
+//! chance, and to leave an inertia above zero. A veto halves the distance of a probability to the prior.
 
 use super::joint::answer::Inference;
 use super::ladder::{AS_GOOD, Bench, SIGNIFICANT_SIGMAS, Standing};

@@ -3,7 +3,7 @@
 use super::eligible::{prepared, starts, why_not};
 use super::events::Event;
 use super::kalman::Noise;
-use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY};
+use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY, shrunk_to_prior};
 use super::noise::initial_noise;
 use super::nuisances::column_of;
 pub(crate) use super::prediction_error::{Led, led, refined, with_deviations};
@@ -201,8 +201,13 @@ impl Inference {
         reasons.into_iter().find_map(|(holds, why)| holds.then_some(why))
     }
 
-    /// Excludes an effect from the named ones; its probability is unchanged.
+    /// Excludes an effect from the named ones. The refit contradicts the linear solution: half of the probability is left to each.
     pub(crate) fn veto(&mut self, veto: Veto) {
+        let is_halved = self.is_cut();
+        let own = self.effects.iter_mut().find(|own| own.id() == veto.effect);
+        if let Some(own) = own.filter(|own| !is_halved && own.probability > NAMED_PROBABILITY) {
+            own.probability = shrunk_to_prior(own.probability, own.effect.card().share_beforehand);
+        }
         self.named.retain(|named| *named != veto.effect);
         self.confusable.retain(|pair| pair[0] != veto.effect);
         self.vetoes.push(veto);
