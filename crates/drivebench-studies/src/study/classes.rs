@@ -76,7 +76,7 @@ const PLAIN: Class = Class {
     log: Log::Whole,
 };
 
-/// Sensors of a servo of Robotis and of a VESC at 100 A and 300 rad/s: 2.69 mA of 1.4 A and .229 of 60 r/min; 10 mA of 60 A and 1 of
+/// Sensors of a Dynamixel and of a VESC at 100 A and 300 rad/s: 2.69 mA of 1.4 A and .229 of 60 r/min; 10 mA of 60 A and 1 of
 /// 3,000 r/min.
 const DYNAMIXEL: Sensors = Sensors { noise: [0.1, 0.4], step: [0.19, 1.15], ..SENSORS };
 const VESC: Sensors = Sensors { noise: [0.1, 0.1], step: [0.017, 0.1], ..SENSORS };
