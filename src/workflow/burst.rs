@@ -115,11 +115,15 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     let mut with = diagnosis.model.model;
     let of_circuit = |effect: &dyn Effect| effect.card().enters.includes(Balance::Voltage);
     with.effects.retain(|active| of_circuit(active.effect));
+    let mut confusable = diagnosis.confusable;
     if with.effects.is_empty() {
-        // What the record does not distinguish from an effect elsewhere.
-        let rivals = diagnosis.confusable.iter().filter_map(|pair| effect::find(pair[1]));
-        if let Some(rival) = rivals.into_iter().find(|rival| of_circuit(*rival)) {
-            with = with.with_effect(rival.card().id)?;
+        // What the record does not distinguish from an effect elsewhere stands for it, with all its rivals.
+        let is_of_circuit = |pair: &&[&str; 2]| effect::find(pair[1]).is_some_and(of_circuit);
+        if let Some([elsewhere, chosen]) = confusable.iter().find(is_of_circuit).copied() {
+            with = with.with_effect(chosen)?;
+            for pair in confusable.iter_mut().filter(|pair| pair[0] == elsewhere) {
+                *pair = [chosen, if pair[1] == chosen { elsewhere } else { pair[1] }];
+            }
         }
     }
     let better = VoltageBalance::of(&with, burst);
@@ -129,13 +133,7 @@ fn circuit(nameplate: &Model, burst: &Scenario) -> Result<BurstResult, FitError>
     if found.is_empty() || better.rms_v > 0.7 * plain.rms_v {
         return Ok(plain.result(None, residual));
     }
-    let mut confusable: Vec<[&'static str; 2]> = Vec::new();
-    for [named, rival] in diagnosis.confusable {
-        let pair = if found.contains(&rival) { [rival, named] } else { [named, rival] };
-        if found.contains(&pair[0]) {
-            confusable.push(pair);
-        }
-    }
+    confusable.retain(|pair| found.contains(&pair[0]));
     let either = |id: &&'static str| {
         let rivals = confusable.iter().filter(|pair| pair[0] == *id);
         std::iter::once(*id).chain(rivals.map(|pair| pair[1])).collect::<Vec<&str>>().join(" or ")

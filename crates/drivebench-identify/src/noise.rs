@@ -238,9 +238,9 @@ fn in_motion(at_rest: &[f64], quantum: f64) -> f64 {
     let middle = median(at_rest);
     let beyond = |side: f64| at_rest.iter().filter(move |v| side * (**v - middle) > 0.5 * quantum);
     let [above, below] = [1.0, -1.0].map(|side| beyond(side).count());
-    // One that flips to one side is offset by an unknown part of the quantum.
-    let is_centred = above.min(below) * 4 >= above.max(below) && above > 0;
     let share = (above + below) as f64 / at_rest.len() as f64;
+    // One that flips to one side is offset by an unknown part of the quantum; where half of them flip the deviation has the rounding in it.
+    let is_centred = above.min(below) * 4 >= above.max(below) && above > 0 && share < 0.5;
     let deviations = Normal::standard().inverse_cdf(1.0 - 0.5 * share);
     if is_centred {
         (0.5 * quantum / deviations).hypot(quantum_noise(quantum))

@@ -201,7 +201,8 @@ impl Inference {
         reasons.into_iter().find_map(|(holds, why)| holds.then_some(why))
     }
 
-    /// Excludes an effect from the named ones. The refit contradicts the linear solution: half of the probability is left to each.
+    /// Excludes an effect from the named ones. Its posterior is no longer that of a confirmed model; of a search that was cut it is the
+    /// mean with the prior already.
     pub(crate) fn veto(&mut self, veto: Veto) {
         let is_halved = self.is_cut();
         let own = self.effects.iter_mut().find(|own| own.id() == veto.effect);
