@@ -12,7 +12,7 @@ use super::score::{SETTLED_BELOW_RATIO, Score};
 use super::versus::{Better, ByBlocks};
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::findings;
-use drivebench_model::plant::{MotorKey, ParameterRole, effect};
+use drivebench_model::plant::{ActiveEffect, MotorKey, ParameterRole, Scenario, effect};
 
 /// Largest fall of a deviance by chance, with a free size at a free time.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
@@ -41,6 +41,8 @@ findings! {
         SearchCut = "search_ended_by_budget",
         FrequencyTooHigh { found_hz: f64, highest_hz: f64 } = "frequency_above_half_the_sampling_rate",
         FrequencyUnknown { found_hz: f64, std_hz: f64 } = "frequency_not_determined",
+        /// A parameter of its shape ends at a bound of the search, and an error is left: it is another shape.
+        ShapeAtBound { key: &'static str, bound: f64 } = "shape_at_bound",
         SizeMayBeZero = "size_may_be_zero",
         /// The same by the balance of torques.
         SizeMayBeZeroInBalance = "size_may_be_zero_in_the_balance",
@@ -83,6 +85,7 @@ pub(super) fn first(
     still(bench, named)
         .or_else(|| unsearched(inference.is_cut(), named, &errors))
         .or_else(|| unresolved(bench, named, rungs))
+        .or_else(|| at_bound(bench, inference, named, rungs))
         .or_else(|| without_size(named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
@@ -128,6 +131,41 @@ fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Opti
         Some(Veto { effect: id, reason })
     };
     named.iter().rev().find_map(|id| of(id))
+}
+
+/// The last named effect with a parameter of its shape at a bound of its range, where the error stays above the floor.
+fn at_bound(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let last = rungs.last()?;
+    if inference.floor(&bench.evidence).is_reached(last.score.nrms) {
+        return None;
+    }
+    named.iter().rev().find_map(|id| {
+        let active = last.fit.model.effects.iter().find(|active| active.id() == *id)?;
+        let is_shared = inference.confusable.iter().any(|pair| pair[0] == *id);
+        let reason = bound_reached(active, &bench.evidence.training, is_shared)?;
+        Some(Veto { effect: id, reason })
+    })
+}
+
+/// A parameter of the shape of an effect within 2 % of a bound of its range. The lower one is its limit, unless the effect shares its
+/// probability with the simpler one there.
+fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Option<VetoReason> {
+    let limit = active.effect.card().limit.filter(|_| !is_shared);
+    let mut shapes = active.effect.parameters().iter().zip(active.values_or_guess()).enumerate();
+    shapes.find_map(|(k, (spec, value))| {
+        let range = spec.in_run(&run.scales);
+        let limit = limit.filter(|own| own.parameter == k);
+        let least = limit.map_or(range.min, |own| own.least_in(active.effect, run));
+        let is_shape = spec.role == ParameterRole::Shape && spec.logarithmic;
+        let bounds = [(value < 1.02 * least, least), (1.02 * value > range.max, range.max)];
+        let (_, bound) = bounds.into_iter().find(|(is_reached, _)| is_shape && *is_reached)?;
+        Some(VetoReason::ShapeAtBound { key: spec.key, bound })
+    })
 }
 
 /// The last named effect whose size is not significant in the fit with all of them.
@@ -270,6 +308,7 @@ fn by_chance_steps(deviances: &[f64]) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::kit::{active, nameplate, record};
 
     #[test]
     fn steps_by_chance_are_found() {
@@ -284,6 +323,28 @@ mod tests {
         ] {
             let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
             assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
+        }
+    }
+
+    #[test]
+    fn a_shape_at_the_bound_of_its_range_is_another_shape() {
+        // A lag of more than a sixth of the run does not die out.
+        let run = record(&nameplate(), 0, 1);
+        let longest_s = run.scales.length_s / 6.0;
+        let (lag, gaps) = ("lagged_drag", "discontinuous_conduction");
+        let limit_a = 0.9 * run.scales.current_a / 100.0;
+        for (id, values, is_shared, expected) in [
+            (lag, [4e-4, 0.99 * longest_s], false, Some("time_constant_s")),
+            (lag, [4e-4, 0.3], false, None),
+            (gaps, [1.0, limit_a], false, Some("boundary_a")),
+            (gaps, [1.0, limit_a], true, None),
+            (gaps, [1.0, 1.1 * limit_a], false, None),
+        ] {
+            let key = match bound_reached(&active(id, &values), &run, is_shared) {
+                Some(VetoReason::ShapeAtBound { key, .. }) => Some(key),
+                _ => None,
+            };
+            assert_eq!(key, expected, "{id} {values:?}");
         }
     }
 

@@ -96,6 +96,9 @@ pub fn veto(reason: &VetoReason) -> String {
         VetoReason::FrequencyUnknown { found_hz, std_hz } => {
             format!("its frequency is not determined ({found_hz:.1} ± {std_hz:.1} Hz)")
         }
+        VetoReason::ShapeAtBound { key, bound } => {
+            format!("its {key} ends at the bound of the search, {bound:.3}, and an error is left")
+        }
         VetoReason::SizeMayBeZero => "in the fit with it its size is not significant".to_owned(),
         VetoReason::SizeMayBeZeroInBalance => {
             "in the torque balance its size is not significant".to_owned()

@@ -7,7 +7,7 @@ use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY, shrunk_
 use super::noise::initial_noise;
 use super::nuisances::column_of;
 pub(crate) use super::prediction_error::{Led, led, refined, with_deviations};
-use super::refits::at_limit;
+use super::refits::not_distinguished;
 use super::regression::Candidate;
 use super::rivals::{confusable, share_among_events, share_at_limit, share_without_current};
 use super::search::{self, SearchResult};
@@ -325,7 +325,7 @@ pub(crate) fn infer(
     let rivals = confusable(&found);
     share_among_events(&mut effects, &rivals);
     let mut confusable: Vec<_> = rivals.into_iter().map(|rival| rival.pair).collect();
-    if let Some(pair) = at_limit(&found.hypothesis.model, &runs[0]) {
+    if let Some(pair) = not_distinguished(&found.hypothesis.model, &runs[0]) {
         share_at_limit(pair, &mut effects, &mut confusable);
     }
     let has_current = runs[0].current_a.iter().any(|current_a| current_a.is_finite());

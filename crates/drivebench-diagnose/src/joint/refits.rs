@@ -9,8 +9,11 @@ use super::regression::{Candidate, Linear};
 use super::run::LinearisedRun;
 use super::select::{Posterior, Reduced, Set, without};
 use super::solution::{present, with_event_times};
+use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::effect::{Axis, CATALOGUE};
-use drivebench_model::plant::{ActiveEffect, Model, Scenario, effect, typical_size};
+use drivebench_model::plant::{
+    ActiveEffect, Effect, Input, Model, MotorKey, Scenario, effect, typical_size,
+};
 
 /// Prior log odds of an effect that a refit has refuted: practically zero probability. Its negative is added to the log odds of
 /// an effect without which a refit is worse.
@@ -106,20 +109,42 @@ fn substitutes() -> impl Iterator<Item = (&'static str, Vec<&'static str>)> {
 /// it in fewer, and a drop and a resistance up to that boundary then have the same values in nearly all rows.
 const LEAST_SHARE_INSIDE: f64 = 0.02;
 
-/// The simpler effect and the richer one of the model whose fitted parameter is within 2 % of the limit where both are equal:
-/// discontinuous conduction with its boundary at the least one of any converter is a voltage drop of the brushes. Or hardly any row
-/// is inside the boundary, so that the record has the simpler effect as well.
-pub(super) fn at_limit(model: &Model, scenario: &Scenario) -> Option<[&'static str; 2]> {
+/// Multiple of its limit below which a parameter is at it, by the rounding of a fit.
+const AT_LIMIT: f64 = 1.02;
+/// Multiple of its limit up to which a parameter may be that of the simpler effect in another form, as the corner of a voltage drop
+/// that builds up softly: it lies at 1.3 times the width of a tanh (least squares).
+const NEAR_LIMIT: f64 = 1.5;
+
+/// The simpler effect and the richer one of the model whose fitted parameter is below this multiple of its limit. The stall current
+/// is that of the model: the scale of the run has the resistance of a fit without the effect.
+fn below_limit(model: &Model, scenario: &Scenario, multiple: f64) -> Option<[&'static str; 2]> {
+    let largest_input = largest(scenario.events.iter().map(|event| event.1));
+    let resistance_ohm = model.motor.get(MotorKey::Resistance);
+    let resistance_ohm = resistance_ohm.filter(|_| scenario.input == Input::Voltage);
     model.effects.iter().find_map(|active| {
         let limit = active.effect.card().limit?;
+        let resistance_ohm = resistance_ohm.filter(|_| is_over_current(active.effect));
+        let factor = resistance_ohm
+            .map_or(1.0, |own| (largest_input / own / scenario.scales.current_a).max(1.0));
         let value = active.values_or_guess()[limit.parameter];
-        let least = limit.least_in(active.effect, scenario);
-        let is_over_current = matches!(active.effect.card().curve, Some((_, Axis::Current)));
-        let is_equal = value < 1.02 * least;
-        let is_alike =
-            is_equal || is_over_current && share_inside(value, scenario) < LEAST_SHARE_INSIDE;
-        is_alike.then(|| [limit.simpler, active.id()])
+        let is_below = value < multiple * factor * limit.least_in(active.effect, scenario);
+        is_below.then(|| [limit.simpler, active.id()])
     })
+}
+
+fn is_over_current(effect: &dyn Effect) -> bool {
+    matches!(effect.card().curve, Some((_, Axis::Current)))
+}
+
+/// The simpler effect and the richer one of the model that a run does not distinguish: near the limit where both are equal, or with
+/// hardly any row inside the boundary of a current, so that the record has the simpler effect as well.
+pub(super) fn not_distinguished(model: &Model, scenario: &Scenario) -> Option<[&'static str; 2]> {
+    let outside = model.effects.iter().find_map(|active| {
+        let limit = active.effect.card().limit.filter(|_| is_over_current(active.effect))?;
+        let share = share_inside(active.values_or_guess()[limit.parameter], scenario);
+        (share < LEAST_SHARE_INSIDE).then(|| [limit.simpler, active.id()])
+    });
+    outside.or_else(|| below_limit(model, scenario, NEAR_LIMIT))
 }
 
 /// Share of the rows in motion that have a current of a quarter to three quarters of `boundary_a`.
@@ -216,7 +241,7 @@ impl Weighed<'_> {
             let left = fit(&fit(&start, self.runs)?.hypothesis, self.runs)?;
             let rich = fit(self.hypothesis, self.runs)?;
             // Squares that are 5 % larger: the form differs from that at the limit.
-            let limit = at_limit(there, self.runs[0].scenario);
+            let limit = below_limit(there, self.runs[0].scenario, AT_LIMIT);
             let is_limit = limit.is_some_and(|[limit, rich]| limit == simple && others == [rich])
                 && left.squares < 1.05 * rich.squares;
             let serves = 0.5 * (left.deviance - rich.deviance) < WORTH_A_SECOND_NATS;
@@ -232,7 +257,7 @@ mod tests {
     use crate::joint::kalman::{Noise, QUIET};
     use crate::joint::select::select;
     use crate::kit::{nameplate, record, truth, with};
-    use drivebench_model::plant::{Effect, Scenario, State};
+    use drivebench_model::plant::State;
 
     const DELAYS: [&str; 3] = ["command_delay", "speed_delay", "current_filter"];
 
@@ -275,13 +300,13 @@ mod tests {
         let least_boundary_a = 0.9;
         let brushes = ["voltage_drop", "discontinuous_conduction"];
         let run = record(&nameplate(), 0, 1);
-        assert_eq!(at_limit(&gaps(1.4, least_boundary_a), &run), Some(brushes));
-        assert_eq!(at_limit(&gaps(1.4, 1.5 * least_boundary_a), &run), None);
-        assert_eq!(at_limit(&truth("voltage_drop", &[0.9]), &run), None);
+        assert_eq!(not_distinguished(&gaps(1.4, least_boundary_a), &run), Some(brushes));
+        assert_eq!(not_distinguished(&gaps(1.4, 1.6 * least_boundary_a), &run), None);
+        assert_eq!(not_distinguished(&truth("voltage_drop", &[0.9]), &run), None);
         // No row has a current inside the boundary.
         let mut beyond = run;
         beyond.current_a.iter_mut().for_each(|current_a| *current_a = 3f64.copysign(*current_a));
-        assert_eq!(at_limit(&gaps(1.4, 2.5), &beyond), Some(brushes));
+        assert_eq!(not_distinguished(&gaps(1.4, 2.5), &beyond), Some(brushes));
         // A small drop hardly shows, whatever its form; of a large one the form does.
         for (extra_ohm, stands) in [(0.05, true), (4.0, false)] {
             let machine = gaps(extra_ohm, least_boundary_a);

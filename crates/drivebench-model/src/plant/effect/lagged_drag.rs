@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "steps between several speeds both ways, held for several times the lag",
     remedy: "check the oil, or the belt and its tension; feed forward k times the speed behind the \
         same lag",
+    takes_power: true,
     limit: Some(Limit { simpler: "viscous_friction", parameter: 1, least: LEAST_LAG_S }),
     parameters: &[ParameterSpec::coefficient("lagged_n_m_s_per_rad", "N.m.s/rad", 4e-4), LAG],
     formula: &[

@@ -29,6 +29,8 @@ pub struct ParameterSpec {
     pub of: Measure,
     pub min: f64,
     pub max: f64,
+    /// Longest time of a parameter, as a share of the run's length.
+    pub most_of_length: f64,
     /// A typical size: step of the score test and unit of the fit.
     pub scale: f64,
     pub role: ParameterRole,
@@ -47,6 +49,7 @@ impl ParameterSpec {
             of: Measure::Absolute,
             min: -f64::MAX,
             max: f64::MAX,
+            most_of_length: f64::INFINITY,
             scale,
             role: ParameterRole::Coefficient,
             logarithmic: false,
@@ -67,6 +70,10 @@ impl ParameterSpec {
         Self { of, ..self }
     }
 
+    pub(super) const fn up_to_share_of_length(self, most_of_length: f64) -> Self {
+        Self { most_of_length, ..self }
+    }
+
     /// A positive shape parameter within bounds, fitted as a logarithm.
     pub const fn shape(
         key: &'static str,
@@ -80,6 +87,7 @@ impl ParameterSpec {
             of: Measure::Absolute,
             min: range.0,
             max: range.1,
+            most_of_length: f64::INFINITY,
             scale: shapes[0],
             role: ParameterRole::Shape,
             logarithmic: true,
@@ -114,6 +122,7 @@ impl ParameterSpec {
         of: Measure::Length,
         min: 0.0,
         max: f64::MAX,
+        most_of_length: f64::INFINITY,
         scale: 0.1,
         role: ParameterRole::EventTime,
         logarithmic: false,
@@ -132,11 +141,14 @@ impl ParameterSpec {
     /// Bounds, scale and grid in a run with these scales.
     pub fn in_run(&self, scales: &RunScales) -> SearchRange {
         let factor = scales.factor(self.of);
+        let min = self.min * factor;
+        let most = (self.most_of_length * scales.length_s).max(min);
+        let max = (self.max * factor).min(f64::MAX).min(most);
         SearchRange {
-            min: self.min * factor,
-            max: (self.max * factor).min(f64::MAX),
+            min,
+            max,
             scale: self.scale * factor,
-            guess: self.guess() * factor,
+            guess: (self.guess() * factor).min(max),
             grid: self.shapes,
             factor,
         }
@@ -182,7 +194,10 @@ pub struct SearchRange {
 impl SearchRange {
     /// Grid of the score test; empty for a coefficient.
     pub fn shapes(&self) -> impl DoubleEndedIterator<Item = f64> + Clone + use<> {
-        let factor = self.factor;
-        self.grid.iter().map(move |shape| shape * factor)
+        let Self { factor, max, .. } = *self;
+        // A grid has one form at least.
+        let is_inside = move |(k, shape): &(usize, &f64)| *k == 0 || *shape * factor <= max;
+        let inside = self.grid.iter().enumerate().filter(is_inside);
+        inside.map(move |(_, shape)| (shape * factor).min(max))
     }
 }

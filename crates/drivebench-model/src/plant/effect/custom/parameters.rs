@@ -166,6 +166,7 @@ impl Declared {
             of: Measure::Absolute,
             min,
             max,
+            most_of_length: f64::INFINITY,
             scale,
             role: ParameterRole::Shape,
             logarithmic,
