@@ -50,3 +50,4 @@ mod tangent;
 mod whitened;
 
 pub(super) use kalman::Noise;
+pub(super) use prediction_error::motor_constants;

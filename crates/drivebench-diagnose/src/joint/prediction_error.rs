@@ -9,6 +9,7 @@ use super::eligible::why_not;
 use super::events::{Event, Hypothesis};
 use super::free_run::excess;
 use super::kalman::{Noise, innovations_with};
+use super::noise::initial_noise;
 use super::nuisances::{ErrorOf, MotorPrior, left_beyond_ohm, motor_prior, of_equations};
 use super::regression::{SLAB, Source};
 use super::run::LinearisedRun;
@@ -16,11 +17,14 @@ use super::tangent::{self, Tangent};
 use super::whitened::Whitened;
 use crate::score::{Fitted, Score};
 use crate::work::{Work, iterations_of};
+use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::verdict::judge;
 use drivebench_model::numerics::least_squares::inverse_of_normal;
 use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options, Problem};
+use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{
-    ActiveEffect, Model, MotorKey, ParameterRole, Scenario, Slot, State, motor_range, typical_size,
+    ActiveEffect, Model, Motor, MotorKey, ParameterRole, Scenario, Slot, State, motor_range,
+    typical_size,
 };
 use drivebench_model::sample::Reason;
 
@@ -520,6 +524,33 @@ fn estimate(run: &LinearisedRun<'_>) -> Option<Estimated> {
     })
 }
 
+/// Resistance, inductance and back-EMF constant of a motor with their deviations, where the run determines them; its torques are a
+/// random disturbance as large as that of the largest current. `None` where the run cannot be followed.
+pub(crate) fn motor_constants(motor: &Motor, run: &Scenario) -> Option<Vec<(MotorKey, f64, f64)>> {
+    let mut motor = motor.clone();
+    let torque_n_m = motor.torque_constant()? * largest(&run.current_a);
+    let scales = &run.scales;
+    // Any inertia with which that torque reaches the run's speed.
+    if motor.get(MotorKey::Inertia).is_none() {
+        motor.set(MotorKey::Inertia, torque_n_m * scales.response_s / scales.speed_rad_s);
+    }
+    motor.set(MotorKey::LoadTorque, 0.0);
+    let mut model = Model::baseline(motor);
+    model.fixed = [MotorKey::Inertia, MotorKey::LoadTorque].map(|key| key.key().to_owned()).into();
+    let floor = NoiseFloor::from_standstill(run).unwrap_or_else(|| NoiseFloor::from_spread(run));
+    let noise = Noise { disturbance_n_m: torque_n_m, ..initial_noise(&floor, &model, run) };
+    let first = |values: &[f64]| values.iter().copied().find(|value| value.is_finite());
+    let start = State::at(first(&run.current_a)?, first(&run.speed_rad_s)?);
+    let found = estimate(&LinearisedRun::new(&model, run, start, noise)?)?;
+    let known = found.deviations.iter().filter_map(|(slot, deviation)| {
+        let Slot::Motor(key) = slot else {
+            return None;
+        };
+        Some((*key, found.model.motor.get(*key)?, (*deviation)?))
+    });
+    Some(known.collect())
+}
+
 /// Growth of the free-run error from which on values by prediction errors are not used for simulation: the form of an effect differs.
 const LED_ONLY_RATIO: f64 = 1.1;
 
@@ -590,11 +621,9 @@ pub(crate) fn led(mut fit: Fitted, run: &Scenario, noise: Noise, may_move: bool)
 mod tests {
     use super::*;
     use crate::joint::kalman::QUIET;
-    use crate::joint::noise::initial_noise;
     use crate::kit::{nameplate, record, truth, with};
-    use drivebench_identify::noise::NoiseFloor;
     use drivebench_identify::output_error;
-    use drivebench_model::plant::{Motor, effect, testing};
+    use drivebench_model::plant::{effect, testing};
 
     fn linearised<'a>(model: &Model, run: &'a Scenario, disturbance_n_m: f64) -> LinearisedRun<'a> {
         let noise = Noise { disturbance_n_m, input: 1e-3, ..QUIET };
