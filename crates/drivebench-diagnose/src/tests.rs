@@ -1,7 +1,7 @@
 //! Diagnosis of runs whose truth is known. Runs of the emulator, whose effects have other forms than the catalogue's,
 //! are diagnosed in `tests/`.
 
-use super::kit::{evidence, held, nameplate, names, record, truth, with};
+use super::kit::{candidate, evidence, held, nameplate, names, record, truth, with};
 use super::*;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_model::numerics::statistics::largest;
@@ -141,6 +141,28 @@ fn an_error_without_an_effect_is_unexplained() {
     let found = diagnose(&nameplate(), data).unwrap();
     assert_eq!(found.verdict, DiagnosisVerdict::Unexplained, "{:?}", found.effects);
     assert!(!found.sufficient && found.effects.is_empty());
+    // Between the frequencies that were tried a coupling may be what is left.
+    let coupling = candidate(&found, "elastic_coupling");
+    assert!(coupling.is_open && coupling.status != Status::RuledOut, "{coupling:?}");
+}
+
+#[test]
+fn saturation_of_an_inductance_that_no_run_determines_stays_open() {
+    // Currents settle within L/R: a hundredth of the period, and four of them.
+    for (inductance_h, is_open) in [(1e-4, true), (0.044, false)] {
+        let mut motor = nameplate();
+        motor.motor.set(MotorKey::Inductance, inductance_h);
+        let run = |seed: u64| {
+            let level = |step: u64| 12.0 * ((step + seed) * (step + seed) % 17) as f64 - 90.0;
+            let steps = (0..30).map(|step| (0.6 + 0.45 * step as f64, level(step)));
+            let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+            testing::record(&motor, events, 0.01, 14.1, seed)
+        };
+        let found = diagnose(&motor, Evidence::new(run(1), Some(run(2)), None)).unwrap();
+        assert!(found.effects.is_empty(), "{:?}", found.effects);
+        let own = candidate(&found, "inductance_saturation");
+        assert_eq!(own.status != Status::RuledOut, is_open, "{inductance_h} {own:?}");
+    }
 }
 
 #[test]
