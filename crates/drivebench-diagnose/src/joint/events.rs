@@ -195,11 +195,12 @@ pub(super) fn parts(
     let model = &hypothesis.model;
     let specs = effect.parameters().iter();
     let guess: Vec<f64> = specs.map(ParameterSpec::guess).collect();
-    let slab = |run: usize| SLAB * typical_size(effect, size, model, runs[run].scenario);
+    let typical = |run: &LinearisedRun<'_>| SLAB * typical_size(effect, size, model, run.scenario);
+    let slabs: Vec<f64> = runs.iter().map(typical).collect();
     let onset_s = |run: usize| runs[run].scenario.scales.onset_s();
     // The column of an event whose size is so many slabs.
     let add = |form: &mut Form, event: &Event, present: f64| {
-        let (unit, time_s) = (slab(event.run), event.time_s());
+        let (unit, time_s) = (slabs[event.run], event.time_s());
         let column = Column {
             event_time: Some((event.run, time_s)),
             ..Column::of(Some(size), unit, present / unit)
@@ -246,7 +247,7 @@ pub(super) fn parts(
         for (time_s, is_rival) in grid.chain(others.map(|event| (event.time_s(), true))) {
             let mut event = Event { run: number, effect, values: guess.clone() };
             event.put_at(time_s);
-            event.values[size] = slab(number);
+            event.values[size] = slabs[number];
             let mut form = Form::new(event.values.clone(), log_share);
             add(&mut form, &event, 0.0);
             form.variant.is_rival = is_rival;

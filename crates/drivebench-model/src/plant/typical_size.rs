@@ -3,7 +3,7 @@
 use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;
 use super::scenario::{Input, Scenario};
-use crate::numerics::statistics::{finite, largest};
+use crate::numerics::statistics::largest;
 
 /// The size of one coefficient at which the effect reaches three per cent of the largest voltage (torque) of the run, because
 /// the friction of a milliwatt motor and of a mill differ by many decades. A shape parameter has that of its card.
@@ -24,12 +24,12 @@ pub fn typical_size(
     });
     let terms = effect.terms(&values.collect::<Vec<f64>>());
     let times = &scenario.sample_time_s;
-    let currents = finite(&scenario.current_a);
     let mut own = vec![0.0; terms.states()];
     // 500 samples are enough.
     let stride = times.len().div_ceil(500);
     let largest_input = largest(scenario.events.iter().map(|event| event.1));
-    let largest_current = largest(&currents);
+    let largest_current =
+        largest(scenario.current_a.iter().filter(|current_a| current_a.is_finite()));
     let largest_torque = match scenario.input {
         Input::Torque => largest_input,
         Input::Voltage | Input::Current => {
