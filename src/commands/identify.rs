@@ -32,6 +32,7 @@ use drivebench_identify::{
 };
 use drivebench_model::config_text;
 use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,
 };
@@ -59,6 +60,9 @@ pub(super) struct Arguments {
     /// Motor turns per turn of the load: inertia and load torque are then also given on the load's shaft
     #[arg(long, value_name = "N")]
     gear_ratio: Option<f64>,
+    /// A weight of so many kg on an arm of so many m: with voltage and angle, and no current, R, Ke, J and Mc
+    #[arg(long, value_name = "KG,M")]
+    known_arm: Option<String>,
     /// Instead of parameters: the load torque over time, with the parameters of --model, into this file
     #[arg(long, value_name = "FILE.csv", requires = "model")]
     load_torque: Option<PathBuf>,
@@ -91,6 +95,7 @@ Examples:
   drivebench identify runs/a runs/b runs/c
   drivebench identify runs/a --nameplate bench-configs/motors/zk-22fc.toml
   drivebench identify runs/bare --added-inertia runs/disc=0.002
+  drivebench identify servo.csv --known-arm 0.49,0.1
   drivebench identify axis.csv --model axis.toml --map time_s=t,torque_n_m=force,angle_rad=position",
     );
     text
@@ -121,7 +126,10 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let loaded = arguments.map.load(path, terminal)?;
         let file = match &mut file {
             Some(file) => file,
-            none => none.insert(model(arguments.model.as_deref(), &loaded, terminal)?.file),
+            none => {
+                let found = model(arguments.model.as_deref(), &loaded, terminal)?.file;
+                none.insert(with_weight(found, arguments.known_arm.as_deref())?)
+            }
         };
         if let Some(trace) = &arguments.load_torque {
             if arguments.runs.len() > 1 {
@@ -191,8 +199,29 @@ fn one(
     arguments: &Arguments,
     terminal: &Terminal,
 ) -> Result<OneRun, Failure> {
-    let scheme = arguments.scheme.as_deref();
+    let of_arm = arguments.known_arm.as_ref().map(|_| scheme::KNOWN_ARM);
+    let scheme = arguments.scheme.as_deref().or(of_arm);
     identify(loaded, model, scheme, &arguments.require, arguments.json, terminal)
+}
+
+/// The file with the weight of `--known-arm` in its model.
+fn with_weight(mut file: ModelFile, arm: Option<&str>) -> Result<ModelFile, Failure> {
+    let Some(text) = arm else {
+        return Ok(file);
+    };
+    let numbers: Option<Vec<f64>> = text.split(',').map(|own| own.trim().parse().ok()).collect();
+    let Some([kg, m]) = numbers.as_deref().filter(|own| own.iter().all(|own| *own > 0.0)) else {
+        return Err(Failure::usage(
+            format!("--known-arm {text:?} is not allowed (expected KG,M, both above 0)"),
+            "give the mass and its distance from the shaft, as --known-arm 0.49,0.1",
+        ));
+    };
+    // Standard gravity (ISO 80000-3); on the earth it differs by up to .3 %.
+    let gravity_m_per_s2 = 9.80665;
+    let (weight, size) = (TermKind::Weight, [gravity_m_per_s2 * kg * m, 0.0]);
+    file.model.effects.retain(|active| active.id() != weight.id());
+    file.model.effects.push(ActiveEffect::with(weight.effect(), &size));
+    Ok(file)
 }
 
 /// The absolute scale from the run with the added inertia, where one is given.
@@ -330,7 +359,10 @@ pub(crate) fn identify(
 /// event of a single run.
 fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
     let (first, others) = runs.split_first().filter(|(_, others)| !others.is_empty())?;
-    let is_fitted = |run: &OneRun| run.found.scheme == scheme::FREE_RUN;
+    let scheme = first.found.scheme;
+    let is_fitted = |run: &OneRun| {
+        run.found.scheme == scheme && [scheme::FREE_RUN, scheme::KNOWN_ARM].contains(&scheme)
+    };
     let is_event = |own: &ActiveEffect| own.effect.goes_on_over_runs();
     if !runs.iter().all(is_fitted) || model.effects.iter().any(is_event) {
         return None;
@@ -339,7 +371,7 @@ fn jointly(runs: &[OneRun], model: &Model) -> Option<Identified> {
     let scenario = &others.iter().fold(first.scenario.clone(), follow);
     let data = Data { run: &first.loaded.run, scenario, model };
     let findings: Vec<Finding> = runs.iter().flat_map(|run| run.findings.clone()).collect();
-    judged(scheme::find(scheme::FREE_RUN).ok()?, &data, &findings).ok()
+    judged(scheme::find(scheme).ok()?, &data, &findings).ok()
 }
 
 /// The estimates of a scheme, limited to those that physics and the origin of the signals allow.

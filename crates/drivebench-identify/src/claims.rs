@@ -59,11 +59,10 @@ pub fn without_current(parameters: &mut [ParameterEstimate], scenario: &Scenario
     }
 }
 
-/// Whether the run has no current, and no resistance, inductance, inertia or torque is given.
+/// Whether the run has no current, and no resistance, inductance, inertia or torque is given, of the motor or of an effect.
 pub fn has_no_scale(parameters: &[ParameterEstimate], scenario: &Scenario) -> bool {
     let is_given = |own: &ParameterEstimate| {
-        let is_of_motor = MotorKey::from_key(&own.key).is_some();
-        is_of_motor && is_tied(own.unit) && own.verdict == Verdict::Fixed
+        is_tied(own.unit) && own.verdict == Verdict::Fixed && own.value != Some(0.0)
     };
     lacks_current(scenario) && !parameters.iter().any(is_given)
 }

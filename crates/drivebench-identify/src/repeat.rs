@@ -39,7 +39,9 @@ pub fn combine(per_run: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) 
         runs.filter_map(move |run| ParameterEstimate::find(run, key))
     };
     let combined = keys.into_iter().filter_map(|key| {
-        let together = ParameterEstimate::find(joint, key).filter(|own| own.carried().is_some());
+        let is_known =
+            |own: &&ParameterEstimate| own.carried().is_some() || own.verdict == Verdict::Fixed;
+        let together = ParameterEstimate::find(joint, key).filter(is_known);
         one(&of(key).collect::<Vec<_>>(), together, per_run.len())
     });
     combined.collect()

@@ -93,7 +93,7 @@ fn resolution(points: &[(f64, f64)]) -> f64 {
 }
 
 /// Slope at every point; at the ends the parabola of the nearest whole span.
-fn slopes(points: &[(f64, f64)], side: usize) -> Vec<f64> {
+pub(super) fn slopes(points: &[(f64, f64)], side: usize) -> Vec<f64> {
     let last = points.len() - 1;
     (0..=last)
         .map(|at| {

@@ -347,7 +347,7 @@ fn half_window(scenario: &Scenario, equation: Balance) -> usize {
 
 /// Mean of the zero-order hold over half a period on either side of each sample: with the values at the samples the trapezoidal
 /// rule would delay a step by half a sample.
-fn held_means(scenario: &Scenario) -> Vec<f64> {
+pub(super) fn held_means(scenario: &Scenario) -> Vec<f64> {
     let samples = 0..scenario.samples();
     samples.map(|sample| held_mean(scenario, sample)).collect()
 }

@@ -87,7 +87,7 @@ pub fn veto(reason: &VetoReason) -> String {
         VetoReason::HoldoutStill => HOLDOUT_STILL.to_owned(),
         VetoReason::Diverges => "with it the simulated motor runs away".to_owned(),
         VetoReason::SearchCut => {
-            "the search was ended by its budget, and its refit alone does not halve the held-out error"
+            "the budget ended the search, and its refit does not halve the held-out error"
                 .to_owned()
         }
         VetoReason::FrequencyTooHigh { found_hz, highest_hz } => format!(
@@ -96,13 +96,9 @@ pub fn veto(reason: &VetoReason) -> String {
         VetoReason::FrequencyUnknown { found_hz, std_hz } => {
             format!("its frequency is not determined ({found_hz:.1} ± {std_hz:.1} Hz)")
         }
-        VetoReason::ShapeAtBound { key, bound } => {
-            format!("its {key} ends at the bound of the search, {bound:.3}, and an error is left")
-        }
+        VetoReason::ShapeAtBound { key, bound } => format!("{key} is at its bound, {bound:.1e}"),
         VetoReason::SizeMayBeZero => "in the fit with it its size is not significant".to_owned(),
-        VetoReason::SizeMayBeZeroInBalance => {
-            "in the torque balance its size is not significant".to_owned()
-        }
+        VetoReason::SizeMayBeZeroInBalance => "its size in the balance may be zero".to_owned(),
         VetoReason::NoInertia => {
             "an artefact: with it the torque balance has no inertia any more".to_owned()
         }

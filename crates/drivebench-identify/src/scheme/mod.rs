@@ -8,6 +8,7 @@
 
 mod balances;
 mod contract_tests;
+mod known_arm;
 mod online;
 mod output_error;
 mod scheme_1;
@@ -152,13 +153,15 @@ const STEP_RESPONSE: Scheme = Scheme {
 /// Name of the scheme that fits the free run of a model.
 pub const FREE_RUN: &str = output_error::OUTPUT_ERROR.id;
 
+/// Name of the scheme for a known weight on an arm. It is not in the catalogue, as the model must have that weight.
+pub const KNOWN_ARM: &str = known_arm::KNOWN_ARM.id;
+
 /// The scheme of that name.
 pub fn find(id: &str) -> Result<&'static Scheme, IdentifyError> {
-    CATALOGUE.iter().copied().find(|scheme| scheme.id() == id).ok_or_else(|| {
-        IdentifyError::UnknownScheme {
-            id: id.to_owned(),
-            allowed: CATALOGUE.iter().map(|scheme| scheme.id()).collect::<Vec<_>>().join(", "),
-        }
+    let mut all = CATALOGUE.iter().copied().chain([&known_arm::KNOWN_ARM]);
+    all.find(|scheme| scheme.id() == id).ok_or_else(|| IdentifyError::UnknownScheme {
+        id: id.to_owned(),
+        allowed: CATALOGUE.iter().map(|scheme| scheme.id()).collect::<Vec<_>>().join(", "),
     })
 }
 

@@ -1,8 +1,8 @@
 //! Properties of effects that are more than a number: elementary term, limit, harmonic, biased fits.
 
 use super::{
-    Card, Effect, command_delay, constant_load, current_filter, speed_delay, viscous_friction,
-    voltage_drop, voltage_offset,
+    Card, Effect, command_delay, constant_load, current_filter, eccentric_load,
+    load_dependent_friction, speed_delay, viscous_friction, voltage_drop, voltage_offset,
 };
 
 use crate::plant::scenario::Scenario;
@@ -17,6 +17,10 @@ pub enum TermKind {
     Drag,
     /// Constant torque.
     TorqueOffset,
+    /// Torque of a weight out of centre: a sine over the angle of the shaft, with its sine and cosine parts.
+    Weight,
+    /// Friction in proportion to the torque that is transmitted.
+    FrictionOfLoad,
     /// Constant voltage.
     VoltageOffset,
     /// Delay of the command, of the current (to first order, as a filter) and of the speed.
@@ -26,7 +30,7 @@ pub enum TermKind {
 }
 
 impl TermKind {
-    /// The effect of the catalogue that is this term and nothing else, its size in its only parameter.
+    /// The effect of the catalogue that is this term and nothing else; its parameters are coefficients.
     pub const fn effect(self) -> &'static dyn Effect {
         self.card()
     }
@@ -39,6 +43,8 @@ impl TermKind {
         match self {
             Self::Drag => &viscous_friction::EFFECT,
             Self::TorqueOffset => &constant_load::EFFECT,
+            Self::Weight => &eccentric_load::EFFECT,
+            Self::FrictionOfLoad => &load_dependent_friction::EFFECT,
             Self::VoltageOffset => &voltage_offset::EFFECT,
             Self::LateCommand => &command_delay::EFFECT,
             Self::LateCurrent => &current_filter::EFFECT,
