@@ -8,9 +8,9 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_900),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 21_550),
+    ("crates/drivebench-diagnose", 21_500),
     ("crates/drivebench-emulator", 12_470),
-    ("crates/drivebench-identify", 22_870),
+    ("crates/drivebench-identify", 22_970),
     ("crates/drivebench-link", 16_350),
     ("crates/drivebench-model", 16_400),
     ("crates/drivebench-studies", 10_200),
