@@ -16,6 +16,7 @@ const PARAMETERS: &[ParameterSpec] = &[ParameterSpec {
     of: Measure::Absolute,
     min: f64::MIN,
     max: f64::MAX,
+    most_of_length: f64::INFINITY,
     scale: 1.0,
     role: ParameterRole::Coefficient,
     logarithmic: false,
