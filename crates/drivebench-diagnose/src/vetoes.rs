@@ -152,18 +152,19 @@ fn at_bound(
     })
 }
 
-/// A parameter of the shape of an effect within 2 % of a bound of its range. The lower one is its limit, unless the effect shares its
-/// probability with the simpler one there.
+/// A parameter of the shape of an effect within 2 % of a bound that tells it from another effect: its limit, unless it shares its
+/// probability with the simpler effect there, or a share of the run's length. At other bounds a shape may no longer change: a
+/// winding that cools in an hour warms in proportion to the heat in every shorter run.
 fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Option<VetoReason> {
     let limit = active.effect.card().limit.filter(|_| !is_shared);
     let mut shapes = active.effect.parameters().iter().zip(active.values_or_guess()).enumerate();
     shapes.find_map(|(k, (spec, value))| {
-        let range = spec.in_run(&run.scales);
-        let limit = limit.filter(|own| own.parameter == k);
-        let least = limit.map_or(range.min, |own| own.least_in(active.effect, run));
-        let is_shape = spec.role == ParameterRole::Shape && spec.logarithmic;
-        let bounds = [(value < 1.02 * least, least), (1.02 * value > range.max, range.max)];
-        let (_, bound) = bounds.into_iter().find(|(is_reached, _)| is_shape && *is_reached)?;
+        let least = limit.filter(|own| own.parameter == k);
+        let least = least.map_or(0.0, |own| own.least_in(active.effect, run));
+        let is_of_length = spec.most_of_length.is_finite();
+        let most = if is_of_length { spec.in_run(&run.scales).max } else { f64::INFINITY };
+        let bounds = [(value < 1.02 * least, least), (1.02 * value > most, most)];
+        let (_, bound) = bounds.into_iter().find(|(is_reached, _)| *is_reached)?;
         Some(VetoReason::ShapeAtBound { key: spec.key, bound })
     })
 }
@@ -339,6 +340,7 @@ mod tests {
             (gaps, [1.0, limit_a], false, Some("boundary_a")),
             (gaps, [1.0, limit_a], true, None),
             (gaps, [1.0, 1.1 * limit_a], false, None),
+            ("winding_heating", [2e-3, 1e6], false, None),
         ] {
             let key = match bound_reached(&active(id, &values), &run, is_shared) {
                 Some(VetoReason::ShapeAtBound { key, .. }) => Some(key),
