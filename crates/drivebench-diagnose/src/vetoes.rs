@@ -159,12 +159,11 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
     let limit = active.effect.card().limit.filter(|_| !is_shared);
     let mut shapes = active.effect.parameters().iter().zip(active.values_or_guess()).enumerate();
     shapes.find_map(|(k, (spec, value))| {
-        let least = limit.filter(|own| own.parameter == k);
-        let least = least.map_or(0.0, |own| own.least_in(active.effect, run));
-        let is_of_length = spec.most_of_length.is_finite();
-        let most = if is_of_length { spec.in_run(&run.scales).max } else { f64::INFINITY };
-        let bounds = [(value < 1.02 * least, least), (1.02 * value > most, most)];
-        let (_, bound) = bounds.into_iter().find(|(is_reached, _)| *is_reached)?;
+        let limit = limit.filter(|own| own.parameter == k);
+        let least = limit.map(|own| own.least_in(active.effect, run));
+        let most = spec.most_of_length.is_finite().then(|| spec.in_run(&run.scales).max);
+        let below = least.filter(|least| value < 1.02 * least);
+        let bound = below.or(most.filter(|most| 1.02 * value > *most))?;
         Some(VetoReason::ShapeAtBound { key: spec.key, bound })
     })
 }
@@ -341,6 +340,7 @@ mod tests {
             (gaps, [1.0, limit_a], true, None),
             (gaps, [1.0, 1.1 * limit_a], false, None),
             ("winding_heating", [2e-3, 1e6], false, None),
+            ("cogging", [-0.1, 0.1], false, None),
         ] {
             let key = match bound_reached(&active(id, &values), &run, is_shared) {
                 Some(VetoReason::ShapeAtBound { key, .. }) => Some(key),
