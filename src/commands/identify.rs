@@ -209,16 +209,16 @@ fn with_weight(mut file: ModelFile, arm: Option<&str>) -> Result<ModelFile, Fail
     let Some(text) = arm else {
         return Ok(file);
     };
-    let numbers: Option<Vec<f64>> = text.split(',').map(|own| own.trim().parse().ok()).collect();
-    let Some([kg, m]) = numbers.as_deref().filter(|own| own.iter().all(|own| *own > 0.0)) else {
+    let number = |own: &str| own.trim().parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
+    let numbers: Option<Vec<f64>> = text.split(',').map(number).collect();
+    let Some([kg, m]) = numbers.as_deref() else {
         return Err(Failure::usage(
             format!("--known-arm {text:?} is not allowed (expected KG,M, both above 0)"),
             "give the mass and its distance from the shaft, as --known-arm 0.49,0.1",
         ));
     };
-    // Standard gravity (ISO 80000-3); on the earth it differs by up to .3 %.
-    let gravity_m_per_s2 = 9.80665;
-    let (weight, size) = (TermKind::Weight, [gravity_m_per_s2 * kg * m, 0.0]);
+    // Standard gravity in m/s2 (ISO 80000-3); on the earth it differs by up to .3 %.
+    let (weight, size) = (TermKind::Weight, [9.80665 * kg * m, 0.0]);
     file.model.effects.retain(|active| active.id() != weight.id());
     file.model.effects.push(ActiveEffect::with(weight.effect(), &size));
     Ok(file)

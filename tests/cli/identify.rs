@@ -106,6 +106,7 @@ fn wrong_options_are_named_with_what_is_allowed() {
         ("--added-inertia disc=-1", "RUN=KG_M2"),
         ("--known-arm 0.5", "KG,M"),
         ("--known-arm 0.5,-0.1", "KG,M"),
+        ("--known-arm inf,0.1", "KG,M"),
         ("--scheme 4", "output-error"),
     ] {
         let bare = run_with(0.0045, 6);

@@ -127,11 +127,17 @@ mod tests {
     fn the_values_are_those_of_the_motor_at_either_rate() {
         for (period_s, seed) in [(0.001, 1), (0.01, 2)] {
             let run = run(&motor(1.5, 0.30), period_s, seed);
-            let found = fingerprint(&nameplate(), &run).unwrap();
-            let (r, ke) = (found.resistance_ohm, found.back_emf_v_s_per_rad);
-            assert!((r.value / 1.5 - 1.0).abs() < 0.02, "{found:?}");
-            assert!((ke.value / 0.30 - 1.0).abs() < 0.003, "{found:?}");
-            assert!(r.std < 0.02 && ke.std < 0.002, "{found:?}");
+            // Whatever the nameplate says of the mechanics.
+            for (inertia_ratio, load_n_m) in [(1.0, 0.455), (5.0, 0.0), (0.2, 2.0)] {
+                let mut start = nameplate();
+                start.motor.set(MotorKey::Inertia, 0.0045 * inertia_ratio);
+                start.motor.set(MotorKey::LoadTorque, load_n_m);
+                let found = fingerprint(&start, &run).unwrap();
+                let (r, ke) = (found.resistance_ohm, found.back_emf_v_s_per_rad);
+                assert!((r.value / 1.5 - 1.0).abs() < 0.02, "{inertia_ratio} {found:?}");
+                assert!((ke.value / 0.30 - 1.0).abs() < 0.003, "{inertia_ratio} {found:?}");
+                assert!(r.std < 0.02 && ke.std < 0.002, "{inertia_ratio} {found:?}");
+            }
         }
     }
 

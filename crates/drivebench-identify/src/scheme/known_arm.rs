@@ -183,8 +183,8 @@ fn in_torques(
         if let Some(own) = parameters.last_mut().filter(|_| is_open && key != MotorKey::BackEmf) {
             own.unsettle(
                 Reason::NotExcited,
-                "the load hardly drives the motor: friction that grows with the load counts as load, and R is too large, J and Mc \
-                 too small by its share",
+                "the load hardly drives the motor: friction that grows with the load is not distinguished from it, and R is then too \
+                 large",
             );
         }
     }
