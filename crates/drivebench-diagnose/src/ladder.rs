@@ -222,7 +222,8 @@ impl Bench {
     /// lack, a run of voltage and speed alone without the values that need a current.
     pub(super) fn as_reported(&self, fit: &Fitted) -> Fitted {
         if let Some(balance) = &self.balance {
-            return mechanical::averaged_over_forms(fit, &balance.sides.training);
+            let rows = &balance.sides.training;
+            return mechanical::averaged_over_forms(fit, rows, &self.evidence.training);
         }
         let mut reported = fit.clone();
         without_current(&mut reported.parameters, &self.evidence.training);

@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, DVector};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::score::{Fitted, Score};
 use drivebench_identify::balance::{Method, TorqueRows};
-use drivebench_identify::misfit::widen_by_forms_of_torque;
+use drivebench_identify::misfit::{widen_by_forms_of_torque, widen_by_sampled_current};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::FitError;
 use drivebench_identify::verdict::judge;
@@ -447,8 +447,8 @@ pub(super) fn fit(model: &Model, rows: &TorqueRows) -> Option<BalanceFit> {
     finish(model, rows)
 }
 
-/// The fit with its deviations widened by the forms that the model may lack.
-pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
+/// The fit with its deviations widened by the forms that the model may lack, and by the samples of a current that drives `run`.
+pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows, run: &Scenario) -> Fitted {
     let mut wide = fit.clone();
     // Friction at its bound of zero stays there: else a form with an offset of the torque would make it negative.
     let held = fit.parameters.iter().filter(|own| own.value == Some(0.0) && own.std.is_none());
@@ -458,6 +458,7 @@ pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows) -> Fitted {
         with.fixed.extend(held.iter().cloned());
         finish(with, rows).map(|with| with.parameters)
     });
+    widen_by_sampled_current(&mut wide.parameters, &fit.model.motor, run);
     wide
 }
 

@@ -24,7 +24,9 @@ use drivebench_model::numerics::least_squares::inverse_where_determined;
 use drivebench_model::numerics::levenberg_marquardt::Problem as _;
 use drivebench_model::numerics::statistics::{BAND_99, largest};
 use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
-use drivebench_model::plant::{Balance, Model, Scenario, Slot, typical_size};
+use drivebench_model::plant::{
+    Balance, Input, Model, Motor, MotorKey, Scenario, Slot, typical_size,
+};
 use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Verdict};
 
 /// Ratio to the noise up to which a residual counts as noise, if the noise is known exactly.
@@ -247,6 +249,41 @@ pub fn widen_by_forms_of_torque(
             let reason = format!("{form}, if present, changes it by {percent:.1} %");
             parameter.set(Verdict::Searching, Reason::ModelMisses, reason);
         }
+    }
+}
+
+/// Widens the inertia of a run that a current drives by the error of its samples. Where the voltage, which is not recorded, steps at
+/// the samples, the mean of the current over a period `T` exceeds them by `T^2 v'/(12 L)` (Euler-Maclaurin formula), and by `T v'/(2 R)`
+/// at most; with `v' = Ke w'` that is a torque in proportion to the acceleration. Unchanged where the armature is not known.
+pub fn widen_by_sampled_current(
+    parameters: &mut [ParameterEstimate],
+    motor: &Motor,
+    scenario: &Scenario,
+) {
+    let value = |key| motor.get(key).filter(|value| *value > 0.0);
+    let period_s = scenario.mean_period_s();
+    let of_one = [
+        value(MotorKey::Inductance).map(|l| period_s * period_s / (12.0 * l)),
+        value(MotorKey::Resistance).map(|r| period_s / (2.0 * r)),
+    ];
+    let of_one = of_one.into_iter().flatten().reduce(f64::min);
+    let constants = value(MotorKey::BackEmf).zip(motor.torque_constant());
+    let (Input::Current, Some((of_one, (ke, kt)))) = (scenario.input, of_one.zip(constants)) else {
+        return;
+    };
+    let own = parameters.iter_mut().find(|own| own.key == MotorKey::Inertia.key());
+    let Some((inertia, (value, Some(std)))) = own.and_then(|own| own.carried().map(|c| (own, c)))
+    else {
+        return;
+    };
+    let sampling = ke * kt * of_one;
+    let wider = std.hypot(sampling);
+    inertia.std = Some(wider);
+    let settled = settled_below(&inertia.key) * value.abs();
+    if wider > settled && std <= settled {
+        let percent = 100.0 * sampling / value.abs().max(f64::MIN_POSITIVE);
+        let reason = format!("what the current is between its samples changes it by {percent:.1} %");
+        inertia.set(Verdict::Searching, Reason::SampledTooSlowly, reason);
     }
 }
 

@@ -115,3 +115,44 @@ fn a_torque_balance_is_widened_where_it_lacks_a_form() {
         assert!(after.std.unwrap() < 1.3 * before.std.unwrap(), "{after:?}");
     }
 }
+
+#[test]
+fn an_inertia_by_a_sampled_current_is_as_uncertain_as_the_samples() {
+    let step_s = 0.005;
+    let model = brushed();
+    let motor = &model.motor;
+    let value = |key| motor.get(key).unwrap();
+    let (l, r) = (value(MotorKey::Inductance), value(MotorKey::Resistance));
+    let (ke, kt) = (value(MotorKey::BackEmf), motor.torque_constant().unwrap());
+    // A ramp of voltage in steps at the samples, followed from the begin: the mean of the current and its samples, once settled.
+    let (mut current_a, mut speed, mut voltage_v) = (0.0, 0.0, 0.0);
+    let (mut excess_a, mut rate) = (0.0, 0.0);
+    let (steps, inertia) = (2000, value(MotorKey::Inertia));
+    for _ in 0..400 {
+        voltage_v += 0.01;
+        let (sample_a, before) = (current_a, speed);
+        let mut mean_a = 0.0;
+        for _ in 0..steps {
+            let dt = step_s / f64::from(steps);
+            mean_a += current_a / f64::from(steps);
+            current_a += dt * (voltage_v - r * current_a - ke * speed) / l;
+            speed += dt * kt * current_a / inertia;
+        }
+        (excess_a, rate) = (mean_a - sample_a, (speed - before) / step_s);
+    }
+    let error = kt * excess_a / rate;
+    let mut scenario = scenario_of(&model, 4.0);
+    scenario.sample_time_s = (0..800).map(|k| f64::from(k) * step_s).collect();
+    let found = |input: Input, motor: &Motor, scenario: &mut Scenario| {
+        scenario.input = input;
+        let own = ParameterEstimate::found(MotorKey::Inertia.key(), "kg.m2", inertia, 0.0, None);
+        let mut found = vec![own];
+        widen_by_sampled_current(&mut found, motor, scenario);
+        found.remove(0).std.unwrap()
+    };
+    let wide = found(Input::Current, motor, &mut scenario);
+    assert!((0.9..1.5).contains(&(wide / error)), "{wide} {error}");
+    assert!(found(Input::Torque, motor, &mut scenario) < 1e-12 * inertia);
+    let unknown = Motor::new("no armature");
+    assert!(found(Input::Current, &unknown, &mut scenario) < 1e-12 * inertia);
+}

@@ -2,7 +2,7 @@
 
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::balance::{as_ratio, lacks_torque_constant, why_no_regressor};
-use crate::misfit::{Misfit, widen_by_forms_of_torque};
+use crate::misfit::{Misfit, widen_by_forms_of_torque, widen_by_sampled_current};
 use crate::{inverse_dynamics, missing_cells, weak_form};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::median_step;
@@ -64,6 +64,7 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
             let with = data.model.with_effect(form).ok()?;
             Some(of_all(inverse_dynamics::fit(&with, data.run, data.scenario)))
         });
+        widen_by_sampled_current(&mut found, &data.model.motor, data.scenario);
     }
     let (weak, _) = parameters(data.model, data.scenario);
     notes.extend(compared(&found, &weak));
@@ -123,6 +124,7 @@ fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Mi
         widen_by_forms_of_torque(&mut found, rows, |form| {
             Some(of_all(weak_form::fit(&model.with_effect(form).ok()?, scenario)))
         });
+        widen_by_sampled_current(&mut found, &model.motor, scenario);
     }
     (found, misfit)
 }
