@@ -26,7 +26,7 @@ use drivebench_identify::output_error::{self, FitError};
 use drivebench_identify::scheme::Identified;
 use drivebench_model::findings;
 use drivebench_model::numerics::levenberg_marquardt::Options;
-use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State};
+use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State, effect};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// Standard deviations below which a size is not significant: in a free run, before which the names have been weighed
@@ -96,11 +96,43 @@ impl Bench {
         eligible: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Result<Inference, FitError> {
-        let mut inference = infer(baseline, &self.given, eligible, &self.evidence, progress)?;
-        if self.fits_at_once() {
-            self.select(baseline, &mut inference)?;
+        let mut eligible = eligible.to_vec();
+        loop {
+            let mut inference =
+                infer(baseline, &self.given, &eligible, &self.evidence, progress)?;
+            if !self.fits_at_once() {
+                return Ok(inference);
+            }
+            let Some(needless) = self.needless_shape(baseline, &inference)? else {
+                self.select(baseline, &mut inference)?;
+                return Ok(inference);
+            };
+            eligible.retain(|effect| effect.card().id != needless);
         }
-        Ok(inference)
+    }
+
+    /// A named effect in whose place the simpler one that is its limit predicts the hold-out as well: where a torque drives, a lag
+    /// also absorbs errors of the inertia and of the instants of the torque.
+    fn needless_shape(
+        &self,
+        baseline: &Fitted,
+        inference: &Inference,
+    ) -> Result<Option<&'static str>, FitError> {
+        let with = beside(&baseline.model, inference, &inference.named)?;
+        let held_out = |model: &Model| self.held_out(&self.fit(model)?.model);
+        for id in &inference.named {
+            let Some(limit) = effect::find(id).and_then(|effect| effect.card().limit) else {
+                continue;
+            };
+            let mut simpler = with.without_effect(id)?;
+            if !simpler.has(limit.simpler) {
+                simpler = simpler.with_effect(limit.simpler)?;
+            }
+            if held_out(&simpler)?.nrms <= AS_GOOD * held_out(&with)?.nrms {
+                return Ok(Some(id));
+            }
+        }
+        Ok(None)
     }
 
     /// Orders the named effects by forward selection in the balance of torques, where a fit is cheap, then removes those

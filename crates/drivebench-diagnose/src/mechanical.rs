@@ -62,8 +62,6 @@ struct Settings {
     passes_of_transmission: usize,
     /// Relative change at which passes end.
     proportional: f64,
-    /// Most samples at which the sign of a term's power is evaluated.
-    most_power_samples: usize,
 }
 
 const SETTINGS: Settings = Settings {
@@ -79,7 +77,6 @@ const SETTINGS: Settings = Settings {
     passes: 4,
     passes_of_transmission: 24,
     proportional: 1e-6,
-    most_power_samples: 500,
 };
 
 /// One processing of all runs.
@@ -255,8 +252,10 @@ fn column(model: &Model, slot: &Slot, rows: &TorqueRows, at: &[Instant]) -> Vec<
             let probe = known.unwrap_or(spec.scale);
             let values = alone(active.effect, &active.values_or_guess(), parameter, probe);
             let mut column = rows.column(&torque(active.effect, &values, at));
-            for cell in &mut column {
-                *cell /= probe;
+            let gains = inertia_gains(active.effect, &values, rows);
+            let inertia = model.motor.get(MotorKey::Inertia).unwrap_or(0.0);
+            for ((cell, gain), rate) in column.iter_mut().zip(gains).zip(&rows.inertia) {
+                *cell = (*cell + gain * inertia * rate) / probe;
             }
             column
         }
@@ -318,13 +317,24 @@ fn transmitting(rows: &TorqueRows, torque_n_m: &[f64]) -> Vec<Instant> {
     rows.at.iter().map(driven).collect()
 }
 
-/// Torque of the effect with these parameter values at every sample, N.m.
+/// Torque of the effect with these parameter values at every sample, N.m; states begin at rest.
 fn torque(effect: &dyn Effect, values: &[f64], at: &[Instant]) -> Vec<f64> {
     let terms = effect.terms(values);
-    let own = vec![0.0; terms.states()];
-    at.iter()
-        .map(|at| terms.torque_n_m(at, &own) + at.speed_rad_s.signum() * terms.friction_n_m(at))
-        .collect()
+    let mut own = vec![0.0; terms.states()];
+    let mut before_s = at.first().map_or(0.0, |at| at.time_s);
+    let torque = |at: &Instant| {
+        terms.advance(at, &mut own, at.time_s - before_s);
+        before_s = at.time_s;
+        terms.torque_n_m(at, &own) + at.speed_rad_s.signum() * terms.friction_n_m(at)
+    };
+    at.iter().map(torque).collect()
+}
+
+/// What the effect adds to the inertia in each row, as a share of it.
+fn inertia_gains(effect: &dyn Effect, values: &[f64], rows: &TorqueRows) -> Vec<f64> {
+    let terms = effect.terms(values);
+    let at = |time_s: &f64| Instant { time_s: time_s - rows.begin_s, ..Instant::default() };
+    rows.time_s.iter().map(|time_s| terms.inertia_gain(&at(time_s))).collect()
 }
 
 /// The values with one coefficient at `size` and every other coefficient at zero.
@@ -340,30 +350,12 @@ fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> 
     alone
 }
 
-/// Whether a coefficient is dissipative, hence not negative: it takes power wherever the shaft moves.
-fn takes_power_only(model: &Model, slot: &Slot, rows: &TorqueRows) -> bool {
-    let (index, parameter) = match *slot {
-        Slot::Motor(key) => return key == MotorKey::LoadTorque,
-        Slot::Effect { index, parameter, .. } => (index, parameter),
-    };
-    let active = &model.effects[index];
-    let specs = active.effect.parameters();
-    let is_event = |spec: &ParameterSpec| spec.role == ParameterRole::EventTime;
-    if specs.iter().any(is_event) {
-        return false;
+/// Whether a coefficient is dissipative, hence not negative.
+fn takes_power_only(model: &Model, slot: &Slot) -> bool {
+    match *slot {
+        Slot::Motor(key) => key == MotorKey::LoadTorque,
+        Slot::Effect { index, .. } => model.effects[index].effect.card().takes_power,
     }
-    let scale = specs[parameter].scale.abs();
-    let unit = alone(active.effect, &active.values_or_guess(), parameter, scale);
-    let step = rows.at.len().div_ceil(SETTINGS.most_power_samples).max(1);
-    // In either direction: a weight drives the shaft down, also where a run only lifts it.
-    let some: Vec<Instant> = (rows.at.iter().step_by(step))
-        .flat_map(|at| {
-            [1.0, -1.0].map(|turned| Instant { speed_rad_s: turned * at.speed_rad_s, ..*at })
-        })
-        .collect();
-    let powers = torque(active.effect, &unit, &some).into_iter().zip(&some);
-    let powers: Vec<f64> = powers.map(|(torque, at)| torque * at.speed_rad_s).collect();
-    !powers.iter().any(|power| *power < 0.0) && powers.iter().any(|power| *power > 0.0)
 }
 
 /// The torque that the model predicts in each row.
@@ -651,7 +643,7 @@ impl System {
                 let value = model.get(&slot).unwrap_or(0.0);
                 right.axpy(-value, &DVector::from_vec(column), 1.0);
             } else {
-                takes_power.push(takes_power_only(model, &slot, rows));
+                takes_power.push(takes_power_only(model, &slot));
                 cells.extend(column);
                 free.push(slot);
             }

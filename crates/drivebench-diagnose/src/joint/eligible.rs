@@ -36,16 +36,8 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     if why_not.is_some() {
         return why_not;
     }
-    let at_last = Instant { time_s: f64::MAX, ..Instant::default() };
-    if terms.inertia_gain(&at_last) != 0.0 {
-        return Some(
-            "a change of the inertia is no term of the torque balance: record the voltage too",
-        );
-    }
-    if terms.coupling().is_some() || terms.states() > 0 {
-        return Some(
-            "a second inertia or a state is no term of the torque balance: record the voltage too",
-        );
+    if terms.coupling().is_some() {
+        return Some("a second inertia is no term of the torque balance: record the voltage too");
     }
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");
