@@ -90,7 +90,8 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         endable = Some(terminal.endable()?);
     }
     let _endable = endable;
-    let mut document = pages::comparison(&prepared, &comparison)?;
+    let is_whole = arguments.html.is_some() || (arguments.full && !arguments.json);
+    let mut document = pages::comparison(&prepared, &comparison, is_whole)?;
     if let Some(path) = &arguments.html {
         pages::write(path, &document.html(), terminal)?;
         document.ends_with(path.display().to_string());

@@ -140,7 +140,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(path) = &arguments.next_bench {
         target.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
     }
-    let mut document = pages::diagnosis(&prepared, &diagnosis)?;
+    let (json, full) = (arguments.json, arguments.full);
+    if json && arguments.html.is_none() {
+        let result = prepared.result(&json::diagnosis(&diagnosis));
+        return terminal.unfolded(&result, json, |_| String::new());
+    }
+    let is_whole = arguments.html.is_some() || full;
+    let mut document = pages::diagnosis(&prepared, &diagnosis, is_whole)?;
     if let Some(path) = &arguments.html {
         pages::write(path, &document.html(), terminal)?;
         document.ends_with(path.display().to_string());
@@ -158,7 +164,6 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
         document.go_on(format!("drivebench diagnose {run}{words} --screen"));
     }
-    let (json, full) = (arguments.json, arguments.full);
     terminal.document(&prepared.result(&json::diagnosis(&diagnosis)), json, full, &document)
 }
 

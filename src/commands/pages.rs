@@ -145,8 +145,12 @@ pub(crate) fn commission(
     Ok(report.document())
 }
 
-/// The report of a diagnosis of recorded runs.
-pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<Document, Failure> {
+/// The report of a diagnosis of recorded runs, with its curves where it `is_whole`: a card has none.
+pub(crate) fn diagnosis(
+    prepared: &Prepared,
+    found: &Diagnosis,
+    is_whole: bool,
+) -> Result<Document, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
     let mut evidence = prepared.evidence.clone();
     let is_electrical = evidence.training.input == Input::Voltage;
@@ -159,7 +163,7 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<Docume
         compare(&found.model.model, &evidence, ErrorOf::Structure)?,
     ];
     let shown = evidence.confirm.as_ref().unwrap_or(&evidence.holdout);
-    let shown = Some(shown).filter(|_| is_electrical);
+    let shown = Some(shown).filter(|_| is_electrical && is_whole);
     let (series, curves) = shown_on(found, shown, &evidence.noise)?;
     let confirm = evidence.confirm.as_ref().filter(|_| is_electrical);
     let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise));
@@ -183,18 +187,19 @@ pub(crate) fn diagnosis(prepared: &Prepared, found: &Diagnosis) -> Result<Docume
     Ok(report.document())
 }
 
-/// The report of a comparison of recorded runs.
+/// The report of a comparison of recorded runs, with its curves where it `is_whole`.
 pub(crate) fn comparison(
     prepared: &Prepared,
     comparison: &Comparison,
+    is_whole: bool,
 ) -> Result<Document, Failure> {
     let about = &prepared.about;
     let evidence = &prepared.evidence;
     let (run, noise) = (&evidence.holdout, evidence.noise);
     let model = &prepared.model.file.model;
-    let is_electrical = evidence.training.input == Input::Voltage;
-    let series = is_electrical.then(|| ConfirmRun::of(model, None, run, &noise));
-    let curve = is_electrical.then(|| error_curve(model, run, &noise));
+    let has_curves = is_whole && evidence.training.input == Input::Voltage;
+    let series = has_curves.then(|| ConfirmRun::of(model, None, run, &noise));
+    let curve = has_curves.then(|| error_curve(model, run, &noise));
     let (series, curve) = (series.transpose()?, curve.transpose()?.flatten());
     let report = ComparisonReport {
         title: &about.title,

@@ -372,10 +372,10 @@ pub(super) fn climb(
             Standing::refined_fit(fit, bench, inference)
         }
     };
-    // Only the error of a rung below the last counts, not the accuracy of its parameters. Where the budget is spent, all
-    // rungs together take no longer than one refit.
+    // Only the error of a rung counts: the parameters of the last and their deviations are of its prediction errors. Where the
+    // budget is spent, all rungs together take no longer than one refit.
     let most = Options::thrifty().most_iterations;
-    let of_lower_rung = Options {
+    let of_rung = Options {
         most_iterations: if inference.is_cut() { most / last.max(1) } else { most },
         one_of_many: false,
         ..Options::thrifty()
@@ -386,9 +386,7 @@ pub(super) fn climb(
         .with_max_len(1)
         .map(|place| {
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
-            let is_last = place + 1 == last && !inference.is_cut();
-            let options = if is_last { Options::default() } else { of_lower_rung };
-            let fitted = bench.fit_with(&start, options);
+            let fitted = bench.fit_with(&start, of_rung);
             // Where much else is missing the fit of a free run may fail: then the values of the joint fit.
             let standing = fitted.and_then(|fit| on_rung(place + 1, fit));
             standing.or_else(|_| on_rung(place + 1, bench.fit_with(&start, unfitted)?))

@@ -11,6 +11,7 @@ use super::{
 use crate::{Diagnosis, Evidence};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
+use drivebench_model::numerics::levenberg_marquardt::Options;
 use drivebench_model::plant::{Input, Model, Scenario};
 
 /// Most pairs that one run is to distinguish.
@@ -213,10 +214,12 @@ pub fn recommend(
     let evidence = &*evidence;
     let pairs = diagnosis.confusable.iter().zip(&diagnosis.rivals).take(MOST_PAIRS);
     let (mut names, mut rivals) = (Vec::new(), Vec::new());
+    let Evidence { training, noise, .. } = evidence;
+    let options = Options { one_of_many: false, ..Options::thrifty() };
     for (pair, rival) in pairs {
         let start = std::slice::from_ref(rival);
         names.push(*pair);
-        rivals.push(output_error::fit(start, &evidence.training, &evidence.noise)?.model);
+        rivals.push(output_error::fit_with(start, training, noise, options)?.model);
     }
     let answer = &diagnosis.model.model;
     let without = names.first().map(|pair| answer.without_effect(pair[0]));

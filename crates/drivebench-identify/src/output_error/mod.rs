@@ -362,7 +362,18 @@ fn predict_from(
     options: Options,
 ) -> Result<(Prediction, f64), FitError> {
     let problem = FreeRun::new(held, scenario, *noise)?.with_free_effect_states()?;
-    let minimum = levenberg_marquardt::minimise(&problem, &problem.start(), options)
+    let start = problem.start();
+    if start.is_empty() {
+        let trajectory = problem.trajectory(&start)?;
+        let weighted = |row: &(usize, bool)| weighted_residual(*row, &trajectory, scenario, noise);
+        let cost: f64 = problem.rows().iter().map(|row| weighted(row).powi(2)).sum();
+        if !cost.is_finite() {
+            return Err(cannot_simulate(scenario));
+        }
+        let start = problem.initial_state(&start);
+        return Ok((Prediction { trajectory, start, model: held.clone() }, cost));
+    }
+    let minimum = levenberg_marquardt::minimise(&problem, &start, options)
         .ok_or_else(|| cannot_simulate(scenario))?;
     let prediction = Prediction {
         trajectory: problem.trajectory(&minimum.x)?,
