@@ -6,49 +6,29 @@
 //!                                the difference of both: contribution of the effect -----> line
 //! ```
 //!
-//! The points are measured, the line is computed, and both pass through the same windows: where the form is wrong the line
-//! misses the points. A change of the equation's own parameters besides the effect is taken out of both.
+//! The points are measured, the line is computed, and both pass through the same windows and the same regression: where the
+//! form is wrong the line misses the points. A change of the equation's own parameters besides the effect is taken out of
+//! both.
 
-use std::f64::consts::TAU;
-
-use super::axis::Search;
 use super::curve::AxisMap;
-use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
+use super::failures::WEIGHT_OF_TIME;
+use super::regression::{Basis, Fit, Regression, Variable};
+use super::windows::{FEWEST_HALF, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
-use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::effect::{self, Axis, ParameterRole};
 use drivebench_model::plant::{ActiveEffect, Balance, Effect, Input, Model, Scenario};
 
-/// Bins of the points, and of the line.
-const BINS: usize = 24;
-const BINS_OF_A_LINE: usize = 72;
-/// Windows in a bin from which on its mean has an uncertainty of its own; fewer are no point.
-const FEWEST_IN_A_BIN: usize = 3;
-/// Windows below which nothing is drawn.
-const FEWEST_WINDOWS: usize = 12;
-/// Neighbouring windows share half of their samples.
-const WINDOWS_EACH: f64 = 2.0;
-/// Share of a period of the angle that a window may turn through; and share of the range that its speed, current or voltage
-/// may vary (a standard deviation), so that a mean is that of one position.
-const STILLEST_SHARE: f64 = 0.35;
-const STEADY_SHARE: f64 = 0.015;
-/// Number of such windows from which on only they are used.
-const STILL_WINDOWS: usize = 60;
-/// Time is no physical cause: an axis only where no physical variable explains nearly as much.
-const WEIGHT_OF_TIME: f64 = 0.85;
-
-/// What lies in one bin of the axis.
+/// One knot of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CurvePoint {
-    /// Mean position on the axis.
+    /// Position on the axis.
     pub at: f64,
-    /// Mean error of the equation there, V or N.m, a loss counted positive.
+    /// Error of the equation there, V or N.m, a loss counted positive.
     pub mean: f64,
-    /// Standard deviation of the mean.
+    /// Its standard deviation.
     pub std: f64,
-    /// Windows in the bin.
+    /// Windows nearest to it.
     pub count: usize,
 }
 
@@ -143,8 +123,7 @@ pub fn effect_curve(
         return Ok(None);
     }
     for equation in super::equations(run.input) {
-        if let Some(changes) = with_it.own_changes(*equation) {
-            with_it.take_out(*equation, &changes);
+        if let Some(changes) = with_it.fit_own(*equation) {
             without_it.take_out(*equation, &changes);
         }
     }
@@ -163,9 +142,7 @@ pub fn error_curve(
         return Ok(None);
     }
     for equation in super::equations(run.input) {
-        if let Some(changes) = windows.own_changes(*equation) {
-            windows.take_out(*equation, &changes);
-        }
+        windows.fit_own(*equation);
     }
     let pairs = Pairs { without_it: &windows, with_it: None };
     Ok(pairs.curve(None))
@@ -177,230 +154,105 @@ struct Pairs<'a> {
     with_it: Option<&'a Windows<'a>>,
 }
 
-/// A variable that an error can be drawn along.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Along {
-    Axis(Axis),
-    /// Own columns of a balance: rate of the current, acceleration.
-    CurrentRate,
-    Acceleration,
-    VoltageRate,
+/// A variable with its columns, and what is drawn over it.
+struct Along {
+    variable: Variable,
+    basis: Basis,
+    fit: Fit,
 }
 
-impl Along {
-    const fn key(self) -> &'static str {
-        match self {
-            Self::Axis(axis) => axis.key(),
-            Self::CurrentRate => "current_rate_a_s",
-            Self::Acceleration => "acceleration_rad_s2",
-            Self::VoltageRate => "voltage_rate_v_s",
-        }
-    }
-
-    const fn unit(self) -> &'static str {
-        match self {
-            Self::Axis(axis) => axis.unit(),
-            Self::CurrentRate => "A/s",
-            Self::Acceleration => "rad/s2",
-            Self::VoltageRate => "V/s",
-        }
-    }
-}
-
-/// One window along the axis.
-#[derive(Clone, Copy)]
-struct At {
-    place: f64,
-    without: f64,
-    with: f64,
-    floor: f64,
-}
-
-impl Pairs<'_> {
-    /// Windows whose error is known in both, with their position.
-    fn along(
-        &self,
-        equation: Balance,
-        place: impl Fn(usize, &Window) -> f64,
-    ) -> impl Iterator<Item = At> {
-        let without = self.without_it.each.iter().enumerate();
-        without.filter_map(move |(index, window)| {
-            let with = self
-                .with_it
-                .map_or(Some(0.0), |with| Some(with.each.get(index)?.error(equation)))?;
-            let at = At {
-                place: place(index, window),
-                without: window.error(equation),
-                with,
-                floor: window.floor(equation),
-            };
-            let is_known = at.place.is_finite() && at.without.is_finite() && at.with.is_finite();
-            is_known.then_some(at)
+impl<'a> Pairs<'a> {
+    /// Windows whose error is known in both, with a value of the errors without the effect and with it.
+    fn of(&self, equation: Balance, value: impl Fn(f64, f64) -> f64) -> Regression<'a> {
+        Regression::of(self.without_it, equation, |index, window| {
+            let with = self.with_it.map(|with| with.each.get(index));
+            let with = with.map_or(0.0, |with| with.map_or(f64::NAN, |with| with.error(equation)));
+            let is_known = window.error(equation).is_finite() && with.is_finite();
+            if is_known { value(window.error(equation), with) } else { f64::NAN }
         })
     }
 
     /// What is drawn: the contribution of an effect, else the error.
-    fn followed(&self, at: &At) -> f64 {
-        at.without - if self.with_it.is_some() { at.with } else { 0.0 }
+    fn drawn(&self, equation: Balance) -> Regression<'a> {
+        self.of(equation, |without, with| without - with)
     }
 
     fn curve(&self, active: Option<&ActiveEffect>) -> Option<EffectCurve> {
-        let scenario = self.without_it.scenario;
-        let equations = super::equations(scenario.input);
+        let input = self.without_it.scenario.input;
+        let equations = super::equations(input);
+        let periods_per_turn = periods_per_turn(active);
+        let along = |errors: &Regression<'_>, variable| {
+            let basis = errors.basis(variable, periods_per_turn)?;
+            let fit = errors.fit(&basis.rows)?;
+            Some(Along { variable, basis, fit })
+        };
         let own = active.and_then(|active| own_curve(active.effect));
         let own = own.filter(|(equation, _)| equations.contains(equation));
         let own = own.and_then(|(equation, axis)| {
-            let places = self.places(equation, Along::Axis(axis), active)?;
-            Some((equation, Along::Axis(axis), places, None))
+            Some((equation, along(&self.drawn(equation), Variable::Axis(axis))?))
         });
-        let (equation, along, places, share_followed) = own.or_else(|| {
+        let is_own = own.is_some();
+        let (equation, Along { variable, basis, fit }) = own.or_else(|| {
             let equation = self.equation(equations)?;
-            let tried = candidates(equation, scenario.input, active).into_iter();
-            let tried = tried.filter_map(|along| {
-                let places = self.places(equation, along, active)?;
-                let r2 = self.follows(equation, &places)?;
-                let weight = if along == Along::Axis(Axis::Time) { WEIGHT_OF_TIME } else { 1.0 };
-                Some((weight * r2, along, places, r2))
-            });
-            let best = tried.max_by(|a, b| a.0.total_cmp(&b.0))?;
-            Some((equation, best.1, best.2, Some(best.3)))
+            let drawn = self.drawn(equation);
+            let tried = candidates(equation, input, active.is_some()).into_iter();
+            let weight = |along: &Along| {
+                let is_time = along.variable == Variable::Axis(Axis::Time);
+                along.fit.r2 * if is_time { WEIGHT_OF_TIME } else { 1.0 }
+            };
+            let tried = tried.filter_map(|variable| along(&drawn, variable));
+            Some((equation, tried.max_by(|a, b| weight(a).total_cmp(&weight(b)))?))
         })?;
-        let all: Vec<At> = self.along(equation, |index, _| places[index]).collect();
-        let (least, most) = extent(all.iter().map(|at| at.place));
-        if all.len() < FEWEST_WINDOWS || most <= least {
-            return None;
-        }
-        let bins = edges(&all, BINS);
-        let fine = edges(&all, BINS_OF_A_LINE);
-        let points = |of: fn(&At) -> f64| points(&all, &bins, of);
-        let rms = |of: fn(&At) -> f64| {
-            let squares: f64 = all.iter().map(|at| of(at).powi(2)).sum();
-            (squares / all.len() as f64).sqrt()
-        };
-        let noise = rms(|at| at.floor);
-        let is_angle = along == Along::Axis(Axis::Angle);
-        let is_drawn = self.with_it.is_some();
+        let points = |errors: &Regression<'_>| Some(points(&basis, &errors.fit(&basis.rows)?));
+        let (without, with) = (self.of(equation, |it, _| it), self.of(equation, |_, it| it));
+        let effect = active.filter(|_| self.with_it.is_some());
+        let is_angle = variable == Variable::Axis(Axis::Angle);
         Some(EffectCurve {
             effect: active.map(ActiveEffect::id),
             equation: equation.key(),
             unit: equation.unit(),
-            axis: along.key(),
-            axis_unit: along.unit(),
-            periods_per_turn: if is_angle { periods_per_turn(active) } else { 1.0 },
-            why_axis: share_followed.map(AxisReason::Share),
-            points: points(|at| at.without),
-            line: if is_drawn { line(&all, &fine) } else { Vec::new() },
-            with_it: if is_drawn { points(|at| at.with) } else { Vec::new() },
-            noise: (noise > 0.0).then_some(noise),
-            rms_without: rms(|at| at.without),
-            rms_with: is_drawn.then(|| rms(|at| at.with)),
+            axis: variable.key(),
+            axis_unit: variable.unit(),
+            periods_per_turn: if is_angle { periods_per_turn } else { 1.0 },
+            why_axis: (!is_own).then(|| AxisReason::Share(fit.r2.max(0.0))),
+            points: points(&without)?,
+            line: effect.map_or_else(Vec::new, |_| {
+                basis.knots.iter().copied().zip(fit.curve(&basis).0).collect()
+            }),
+            with_it: effect.and_then(|_| points(&with)).unwrap_or_default(),
+            noise: (fit.noise > 0.0).then_some(fit.noise),
+            rms_without: without.rms(),
+            rms_with: effect.map(|_| with.rms()),
         })
     }
 
     /// The equation with the larger error, in units of its noise.
     fn equation(&self, equations: &[Balance]) -> Option<Balance> {
         let size = |equation: &Balance| {
-            let (mut power, mut unit) = (0.0, 0.0);
-            for at in self.along(*equation, |_, _| 0.0) {
-                power += self.followed(&at).powi(2);
-                unit += if at.floor > 0.0 { at.floor.powi(2) } else { at.without.powi(2) };
-            }
-            power / f64::max(unit, f64::MIN_POSITIVE)
+            let drawn = self.drawn(*equation);
+            let noise: f64 = drawn.each.iter().map(|at| at.0.floor(*equation).powi(2)).sum();
+            let own: f64 = drawn.each.iter().map(|at| at.0.error(*equation).powi(2)).sum();
+            let power: f64 = drawn.each.iter().map(|at| at.1.powi(2)).sum();
+            power / f64::max(if noise > 0.0 { noise } else { own }, f64::MIN_POSITIVE)
         };
         let sizes = equations.iter().map(|equation| (size(equation), *equation));
         Some(sizes.max_by(|a, b| a.0.total_cmp(&b.0))?.1)
     }
-
-    /// Position of every window on an axis, in the order of the windows; `None` where the run does not have it.
-    fn places(
-        &self,
-        equation: Balance,
-        along: Along,
-        active: Option<&ActiveEffect>,
-    ) -> Option<Vec<f64>> {
-        let windows = self.without_it;
-        let each = windows.each.iter();
-        Some(match along {
-            Along::Axis(Axis::Speed) => {
-                let places = each.map(|window| window.speed_rad_s).collect();
-                self.steady(places, &windows.scenario.speed_rad_s)
-            }
-            Along::Axis(Axis::Current) => {
-                let places = each.map(|window| window.current_a).collect();
-                self.steady(places, &windows.scenario.current_a)
-            }
-            Along::Axis(Axis::Voltage) => each.map(Window::input).collect(),
-            Along::Axis(Axis::Time) => {
-                let begin_s = windows.scenario.begin_s();
-                each.map(|window| window.time_s - begin_s).collect()
-            }
-            Along::CurrentRate => each.map(|window| window.own(Balance::Voltage)[1]).collect(),
-            Along::Acceleration => each.map(|window| window.own(Balance::Torque)[0]).collect(),
-            Along::VoltageRate => each.map(|window| window.input_rate).collect(),
-            Along::Axis(Axis::Angle) => {
-                let search = Search { windows, equation, own: own_keys(equation).len() };
-                let angle = search.angle_at_samples()?;
-                let period_rad = TAU / periods_per_turn(active);
-                let middle_and_travel = |window: &Window| {
-                    let angle = &angle[windows.samples_of(window)];
-                    let travel = angle[angle.len() - 1] - angle[0];
-                    (angle[angle.len() / 2], travel.abs() / period_rad)
-                };
-                let turned: Vec<(f64, f64)> = each.map(middle_and_travel).collect();
-                // A window that turns through much of a period averages it away, in points and line.
-                let place = |turn: &(f64, f64)| turn.0.rem_euclid(period_rad);
-                let is_still = turned.iter().map(|turn| turn.1 < STILLEST_SHARE).collect();
-                where_enough(turned.iter().map(place).collect(), is_still)
-            }
-        })
-    }
-
-    /// Without the windows in which the axis varies, where enough are left: the mean of a curve over a transient
-    /// is not its value at the mean.
-    fn steady(&self, places: Vec<f64>, samples: &[f64]) -> Vec<f64> {
-        let windows = self.without_it;
-        let known = places.iter().filter(|place| place.is_finite());
-        let (least, most) = extent(known);
-        let is_steady = |(window, place): (&Window, &f64)| {
-            let weights = windows.weights_of(window).mean;
-            let own = &samples[windows.samples_of(window)];
-            let squares = weights.iter().zip(own);
-            let variance: f64 = squares.map(|(w, value)| w * (value - place).powi(2)).sum();
-            variance.sqrt() < STEADY_SHARE * (most - least)
-        };
-        let is_steady = windows.each.iter().zip(&places).map(is_steady).collect();
-        where_enough(places, is_steady)
-    }
-
-    /// Adjusted R2 of the means over bins of an axis.
-    fn follows(&self, equation: Balance, places: &[f64]) -> Option<f64> {
-        let all: Vec<At> = self.along(equation, |index, _| places[index]).collect();
-        let n = all.len() as f64;
-        if all.len() < FEWEST_WINDOWS.max(2 * BINS) {
-            return None;
-        }
-        let bins = edges(&all, BINS);
-        let mean = all.iter().map(|at| self.followed(at)).sum::<f64>() / n;
-        let (mut left, mut total) = (0.0, 0.0);
-        for inside in in_bins(&all, &bins) {
-            let of_bin: f64 = inside.iter().map(|at| self.followed(at)).sum();
-            let of_bin = of_bin / inside.len() as f64;
-            for at in inside {
-                left += (self.followed(at) - of_bin).powi(2);
-                total += (self.followed(at) - mean).powi(2);
-            }
-        }
-        let k = bins.len() as f64;
-        (total > 0.0).then(|| (1.0 - (left / (n - k)) / (total / n)).clamp(0.0, 1.0))
-    }
 }
 
-/// Only the `eligible` positions, where they are enough; all of them else.
-fn where_enough(places: Vec<f64>, eligible: Vec<bool>) -> Vec<f64> {
-    if eligible.iter().filter(|is| **is).count() < STILL_WINDOWS {
-        return places;
+/// A curve at its knots.
+fn points(basis: &Basis, fit: &Fit) -> Vec<CurvePoint> {
+    let (values, std) = fit.curve(basis);
+    let mut counts = vec![0; basis.knots.len()];
+    for place in basis.places.iter().filter(|place| place.is_finite()) {
+        let apart = |knot: &usize| (basis.knots[*knot] - place).abs();
+        let nearest = (0..counts.len()).min_by(|a, b| apart(a).total_cmp(&apart(b)));
+        if let Some(knot) = nearest {
+            counts[knot] += 1;
+        }
     }
-    places.into_iter().zip(eligible).map(|(place, is)| if is { place } else { f64::NAN }).collect()
+    let knots = basis.knots.iter().zip(values).zip(std).zip(counts);
+    knots.map(|(((at, mean), std), count)| CurvePoint { at: *at, mean, std, count }).collect()
 }
 
 /// Equation and axis of an effect that is a curve: by its card, and the angle for an effect that needs it.
@@ -422,87 +274,25 @@ fn periods_per_turn(active: Option<&ActiveEffect>) -> f64 {
 
 /// Axes that are tried. The variable that a balance is solved for is none where only the error is known: every missing effect
 /// correlates with it.
-fn candidates(equation: Balance, input: Input, active: Option<&ActiveEffect>) -> Vec<Along> {
-    let mut tried = vec![Along::Axis(Axis::Speed), Along::Axis(Axis::Time)];
+fn candidates(equation: Balance, input: Input, has_effect: bool) -> Vec<Variable> {
+    let mut tried = vec![Variable::Axis(Axis::Speed), Variable::Axis(Axis::Time)];
     let is_electrical = input == Input::Voltage;
-    if is_electrical && (equation == Balance::Voltage || active.is_some()) {
-        tried.extend([Along::Axis(Axis::Current), Along::CurrentRate]);
+    if is_electrical && (equation == Balance::Voltage || has_effect) {
+        tried.extend([Variable::Axis(Axis::Current), Variable::CurrentRate]);
     }
-    if is_electrical && (equation == Balance::Torque || active.is_some()) {
-        tried.push(Along::Axis(Axis::Voltage));
+    if is_electrical && (equation == Balance::Torque || has_effect) {
+        tried.push(Variable::Axis(Axis::Voltage));
     }
     if is_electrical && equation == Balance::Voltage {
-        tried.push(Along::VoltageRate);
+        tried.push(Variable::VoltageRate);
     }
     if equation == Balance::Torque {
-        tried.push(Along::Axis(Axis::Angle));
+        tried.push(Variable::Axis(Axis::Angle));
     }
-    if active.is_some() {
-        tried.push(Along::Acceleration);
+    if has_effect {
+        tried.push(Variable::Acceleration);
     }
     tried
-}
-
-/// Edges of bins: halfway between equal populations and even spacing, and one at zero where both signs occur, as many effects
-/// depend on the direction. The last edge is the end.
-fn edges(all: &[At], bins: usize) -> Vec<f64> {
-    let mut sorted: Vec<f64> = all.iter().map(|at| at.place).collect();
-    sorted.sort_by(f64::total_cmp);
-    let (first, last) = (sorted[0], sorted[sorted.len() - 1]);
-    let edge = |bin: usize| {
-        let part = bin as f64 / bins as f64;
-        let even = first + part * (last - first);
-        let place = sorted[whole(part * (sorted.len() - 1) as f64)];
-        0.5 * (even + place)
-    };
-    let mut edges: Vec<f64> = (1..=bins).map(edge).collect();
-    if first < 0.0 && last > 0.0 {
-        edges.push(0.0);
-    }
-    edges.sort_by(f64::total_cmp);
-    edges.dedup_by(|later, earlier| *later <= *earlier);
-    edges
-}
-
-/// What lies in each bin, those without anything left out.
-fn in_bins<'a>(all: &'a [At], edges: &[f64]) -> Vec<Vec<&'a At>> {
-    let mut bins: Vec<Vec<&At>> = vec![Vec::new(); edges.len()];
-    for at in all {
-        let bin = edges.partition_point(|edge| *edge < at.place);
-        bins[bin.min(edges.len() - 1)].push(at);
-    }
-    bins.retain(|inside| !inside.is_empty());
-    bins
-}
-
-fn points(all: &[At], edges: &[f64], of: fn(&At) -> f64) -> Vec<CurvePoint> {
-    let bins = in_bins(all, edges).into_iter().filter(|inside| inside.len() >= FEWEST_IN_A_BIN);
-    let point = |inside: Vec<&At>| {
-        let n = inside.len() as f64;
-        let mean = |value: &dyn Fn(&At) -> f64| inside.iter().map(|at| value(at)).sum::<f64>() / n;
-        let value = mean(&of);
-        let variance = mean(&|at| (of(at) - value).powi(2)) * n / (n - 1.0);
-        let floor = mean(&|at| at.floor.powi(2));
-        CurvePoint {
-            at: mean(&|at| at.place),
-            mean: value,
-            std: (variance.max(floor) * WINDOWS_EACH / n).sqrt(),
-            count: inside.len(),
-        }
-    };
-    bins.map(point).collect()
-}
-
-/// What the effect does, as the mean of each bin.
-fn line(all: &[At], edges: &[f64]) -> Vec<(f64, f64)> {
-    let bins = in_bins(all, edges).into_iter();
-    let middle = |inside: Vec<&At>| {
-        let n = inside.len() as f64;
-        let place: f64 = inside.iter().map(|at| at.place).sum();
-        let value: f64 = inside.iter().map(|at| at.without - at.with).sum();
-        (place / n, value / n)
-    };
-    bins.map(middle).collect()
 }
 
 /// `model` with the effect `id` at this size; the time of an event is estimated in every run anew.
@@ -530,6 +320,8 @@ pub(crate) fn with_candidate(
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::TAU;
+
     use super::*;
     use crate::kit::{nameplate, truth as with};
     use drivebench_model::plant::testing::{self, with_a_fan};
@@ -549,7 +341,7 @@ mod tests {
         assert_eq!(curve.why_axis, None);
         let law = |speed: f64| FAN * speed * speed.abs();
         let largest = law(250.0);
-        assert!(curve.line.len() > 30 && curve.points.len() > 12);
+        assert!(curve.points.len() > 12 && curve.line.len() == curve.points.len());
         for (speed, torque) in &curve.line {
             let apart = (torque - law(*speed)).abs();
             assert!(apart < 0.03 * largest, "{torque} at {speed}");

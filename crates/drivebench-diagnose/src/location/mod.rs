@@ -17,10 +17,11 @@
 //! quadrature makes of a current with corners is the same in both and cancels; the noise of the initial state obeys the model's
 //! own equations and is annihilated; effects, filters and delays of the model need no regressor of their own.
 
-mod axis;
 mod curve;
 mod effect_curve;
+mod failures;
 mod provisional_ranking;
+mod regression;
 mod torque_map;
 mod windows;
 
@@ -215,7 +216,7 @@ pub fn locate(
         let mut balance = windows.balance(equation, noise);
         refit(&mut windows, equation, &mut balance, noise, model, error_of);
         let axes = if balance.fails {
-            axis::ranked(&windows, equation, balance.refitted, model, error_of)
+            failures::ranked(&windows, equation, balance.refitted, model, error_of)
         } else {
             Vec::new()
         };
@@ -250,9 +251,7 @@ pub(super) fn locate_difference(
     let mut other = Windows::new(model, second, noise, FEWEST_HALF)?;
     for equation in equations {
         for run in [&mut windows, &mut other] {
-            if let Some(changes) = run.own_changes(equation) {
-                run.take_out(equation, &changes);
-            }
+            run.fit_own(equation);
         }
     }
     windows.subtract(&other);
@@ -263,7 +262,7 @@ pub(super) fn locate_difference(
         }
         let balance = windows.balance(equation, noise);
         if balance.fails {
-            let axes = axis::ranked(&windows, equation, true, model, ErrorOf::Structure);
+            let axes = failures::ranked(&windows, equation, true, model, ErrorOf::Structure);
             found.locations.extend(axes);
         }
         found.balances.push(balance);
@@ -283,7 +282,7 @@ fn refit(
     model: &Model,
     error_of: ErrorOf,
 ) {
-    let Some(changes) = windows.own_changes(equation) else {
+    let Some(changes) = windows.fit_own(equation) else {
         return;
     };
     let changed = own_keys(equation).iter().zip(&changes).map(|(key, by)| OwnChange {
@@ -292,7 +291,6 @@ fn refit(
         share: by / model.motor.get(*key).unwrap_or(f64::NAN),
     });
     balance.own_changes = changed.collect();
-    windows.take_out(equation, &changes);
     let after = windows.balance(equation, noise);
     balance.nres_refitted = after.nres;
     let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;

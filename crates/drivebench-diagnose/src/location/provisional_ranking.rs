@@ -5,8 +5,8 @@
 
 use serde::Serialize;
 
-use super::axis::Search;
-use super::windows::{FEWEST_HALF, Windows, own_keys};
+use super::regression::Regression;
+use super::windows::{FEWEST_HALF, Windows};
 use super::{ErrorOf, FEWEST_WINDOWS, refit};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
@@ -53,10 +53,10 @@ pub fn provisional_ranking(
             continue;
         }
         let badness = super::nres(&balance).unwrap_or(balance.relative);
-        let search = Search { windows: &windows, equation, own: own_keys(equation).len() };
-        let angle = search.angle_at_samples();
+        let errors = Regression::new(&windows, equation, true);
+        let angle = errors.angle_at_samples();
         for effect in CATALOGUE {
-            let share = share(&search, *effect, model, angle.as_deref());
+            let share = share(&errors, *effect, model, angle.as_deref());
             if let Some(share) = share.filter(|share| *share >= NAMED_SHARE) {
                 let ranked = RankedEffect {
                     effect: effect.card().id,
@@ -75,7 +75,7 @@ pub fn provisional_ranking(
 /// Share of the error that the effect's coefficients explain, each a column at unit size; of an effect of the angle that of
 /// its best order.
 fn share(
-    search: &Search<'_>,
+    errors: &Regression<'_>,
     effect: &'static dyn Effect,
     model: &Model,
     angle: Option<&[f64]>,
@@ -83,7 +83,7 @@ fn share(
     let card = effect.card();
     let specs = effect.parameters();
     let happens_once = specs.iter().any(|spec| spec.role == ParameterRole::EventTime);
-    if happens_once || !card.enters.includes(search.equation) {
+    if happens_once || !card.enters.includes(errors.equation) {
         return None;
     }
     let orders = match (card.needs_angle, angle) {
@@ -102,27 +102,27 @@ fn share(
                 if spec.role == ParameterRole::Choice {
                     return order as f64;
                 }
-                spec.in_run(&search.windows.scenario.scales).guess
+                spec.in_run(&errors.windows.scenario.scales).guess
             };
             let values: Vec<f64> = specs.iter().enumerate().map(value).collect();
-            column(search, effect.terms(&values).as_ref(), model, angle)
+            column(errors, effect.terms(&values).as_ref(), model, angle)
         });
         let columns = columns.collect::<Option<Vec<_>>>()?;
         let mut row = 0;
-        let rows = search.rows(columns.len(), |_, cells| {
+        let rows = errors.rows(columns.len(), |_, cells| {
             for (cell, column) in cells.iter_mut().zip(&columns) {
                 *cell = column[row];
             }
             row += 1;
         });
-        search.followed_share(&rows)
+        errors.reported(&rows).map(|fit| fit.follows)
     });
     best.max_by(f64::total_cmp)
 }
 
 /// What a term does in each window; `None` where it is no term, or does nothing.
 fn column(
-    search: &Search<'_>,
+    errors: &Regression<'_>,
     terms: &dyn Terms,
     model: &Model,
     angle: Option<&[f64]>,
@@ -130,10 +130,10 @@ fn column(
     if terms.why_no_term().is_some() {
         return None;
     }
-    let scenario = search.windows.scenario;
+    let scenario = errors.windows.scenario;
     let motor = Instant::of(&model.motor).in_run(scenario);
     let begin_s = scenario.begin_s();
-    let dead_zone = search.windows.dead_zone_rad_s;
+    let dead_zone = errors.windows.dead_zone_rad_s;
     let at_sample = |(sample, time_s): (usize, &f64)| {
         let speed_rad_s = scenario.speed_rad_s[sample];
         let at = Instant {
@@ -146,15 +146,14 @@ fn column(
         };
         let sums = terms.sums(&at, &[]);
         let direction = if speed_rad_s.abs() > dead_zone { speed_rad_s.signum() } else { 0.0 };
-        match search.equation {
+        match errors.equation {
             Balance::Voltage => sums.voltage_v,
             Balance::Torque => sums.torque_n_m + sums.friction_n_m * direction,
         }
     };
     let values: Vec<f64> = scenario.sample_time_s.iter().enumerate().map(at_sample).collect();
-    let own = search.own;
-    let rows = search.averaged(&values, 1, |value, weight, row| row[0] += value * weight);
-    let column: Vec<f64> = rows.into_iter().map(|row| row[own]).collect();
+    let rows = errors.averaged(&values, 1, |value, weight, row| row[0] += value * weight);
+    let column: Vec<f64> = rows.into_iter().map(|row| row[0]).collect();
     column.iter().any(|value| *value != 0.0).then_some(column)
 }
 

@@ -15,8 +15,8 @@ use std::f64::consts::TAU;
 
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::axis::Search;
-use super::windows::{FEWEST_HALF, Window, Windows, own_keys};
+use super::regression::Regression;
+use super::windows::{FEWEST_HALF, Window, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::numerics::count::whole;
@@ -110,15 +110,11 @@ pub fn torque_map(
             left_out.push((index, signal));
             continue;
         }
-        let search = Search {
-            windows: &windows,
-            equation: Balance::Torque,
-            own: own_keys(Balance::Torque).len(),
-        };
+        let errors = Regression::new(&windows, Balance::Torque, false);
         let angle = match of {
             MappedTorque::Friction => Vec::new(),
             MappedTorque::Cogging => {
-                let Some(angle) = search.angle_at_samples() else {
+                let Some(angle) = errors.angle_at_samples() else {
                     left_out.push((index, "angle"));
                     continue;
                 };

@@ -14,6 +14,7 @@ use super::EquationBalance;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::least_squares;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
 
@@ -40,8 +41,6 @@ struct Settings {
     soft_share: f64,
     /// Windows that each parameter needs.
     windows_each: f64,
-    /// Damping of the scaled normal matrix: nearly collinear parameters stay finite.
-    tied: f64,
 }
 
 const SETTINGS: Settings = Settings {
@@ -55,7 +54,6 @@ const SETTINGS: Settings = Settings {
     passes: 12,
     soft_share: 0.05,
     windows_each: 3.0,
-    tied: 1e-9,
 };
 
 /// Samples that half a window has at least.
@@ -86,11 +84,6 @@ impl Window {
 
     pub(super) const fn floor(&self, equation: Balance) -> f64 {
         self.floor[equation as usize]
-    }
-
-    /// Mean of the input.
-    pub(super) const fn input(&self) -> f64 {
-        self.input
     }
 
     /// Square of the error beyond the noise.
@@ -367,11 +360,22 @@ impl<'a> Windows<'a> {
         (needs_current && !has(&self.scenario.current_a)).then_some("current")
     }
 
+    /// Squared error beyond the noise and windows while the shaft turned backward, and forward.
+    pub(super) fn by_direction(&self, equation: Balance) -> [(f64, usize); 2] {
+        let mut sides = [(0.0, 0); 2];
+        for window in self.of(equation) {
+            if window.speed_rad_s.abs() > self.dead_zone_rad_s {
+                let (beyond, windows) = &mut sides[usize::from(window.speed_rad_s > 0.0)];
+                *beyond += window.beyond(equation);
+                *windows += 1;
+            }
+        }
+        sides.map(|(beyond, windows)| (f64::max(beyond, 0.0), windows))
+    }
+
     /// The error of one equation over the whole run.
     pub(super) fn balance(&self, equation: Balance, noise: &NoiseFloor) -> EquationBalance {
         let (mut windows, mut power, mut floor, mut drive) = (0_usize, 0.0, 0.0, 0.0);
-        // Backward, forward.
-        let (mut turning, mut turning_power) = ([0.0; 2], [0.0; 2]);
         for window in self.of(equation) {
             let own_drive = match (equation, self.scenario.input) {
                 (Balance::Torque, Input::Voltage) => self.torque_constant * window.current_a,
@@ -382,16 +386,12 @@ impl<'a> Windows<'a> {
             power += window.error(equation).powi(2);
             floor += window.floor(equation).powi(2);
             drive += own_drive * own_drive;
-            if window.speed_rad_s.abs() > self.dead_zone_rad_s {
-                let forward = usize::from(window.speed_rad_s > 0.0);
-                turning[forward] += 1.0;
-                turning_power[forward] += window.beyond(equation);
-            }
         }
         let n = windows as f64;
         let rms = (power / n).sqrt();
         let relative = rms / (drive / n).sqrt().max(f64::MIN_POSITIVE);
         let nres = (floor > 0.0).then(|| (power / floor).sqrt());
+        let sides = self.by_direction(equation);
         let forward_share = |[back, forward]: [f64; 2]| {
             let whole = forward + back;
             (whole > 0.0).then(|| forward / whole)
@@ -403,8 +403,8 @@ impl<'a> Windows<'a> {
             nres,
             rms,
             relative,
-            forward_share_of_error: forward_share(turning_power.map(|power| power.max(0.0))),
-            forward_share_of_time: forward_share(turning),
+            forward_share_of_error: forward_share(sides.map(|(beyond, _)| beyond)),
+            forward_share_of_time: forward_share(sides.map(|(_, windows)| windows as f64)),
             windows,
             fails: relative > SETTINGS.arithmetic_share && is_above_noise,
             ..EquationBalance::default()
@@ -437,52 +437,33 @@ fn input_over(events: &[(f64, f64)], times: &[f64]) -> (f64, f64) {
 }
 
 impl Windows<'_> {
-    /// Changes of the motor's own parameters that would explain most of a balance's error, by least absolute values: a
-    /// fault in a part of the run then stays there, where least squares would spread it over all of it.
+    /// Takes those changes of the motor's own parameters out of a balance's error that explain most of it, by least absolute
+    /// values: a fault in a part of the run then stays there, where least squares would spread it over all of it.
     /// `None` where the run does not determine them.
-    pub(super) fn own_changes(&self, equation: Balance) -> Option<Vec<f64>> {
+    pub(super) fn fit_own(&mut self, equation: Balance) -> Option<Vec<f64>> {
         let k = own_keys(equation).len();
-        let mut change: DVector<f64> = DVector::zeros(k);
-        let mut scale = f64::INFINITY;
-        for pass in 0..SETTINGS.passes {
-            let mut normal: DMatrix<f64> = DMatrix::zeros(k, k);
-            let mut right: DVector<f64> = DVector::zeros(k);
-            let (mut size, mut n) = (0.0, 0.0);
-            for window in self.of(equation) {
-                let (row, error) = (window.own(equation), window.error(equation));
-                let left = error - (0..k).map(|at| row[at] * change[at]).sum::<f64>();
+        let used: Vec<&Window> = self.of(equation).collect();
+        let n = used.len() as f64;
+        let columns = DMatrix::from_fn(used.len(), k, |row, at| used[row].own(equation)[at]);
+        let errors = DVector::from_fn(used.len(), |row, _| used[row].error(equation));
+        let (mut weighted, mut change) = (columns.clone(), DVector::zeros(k));
+        for _ in 0..SETTINGS.passes {
+            let (inverse, _) = least_squares::inverse_of_normal(&weighted.tr_mul(&columns));
+            change = inverse * weighted.tr_mul(&errors);
+            let left = &errors - &columns * &change;
+            let scale = left.lp_norm(1) / n;
+            if !(scale > 0.0 && n >= SETTINGS.windows_each * k as f64) {
+                return None;
+            }
+            for (row, window) in used.iter().enumerate() {
                 // Huber: absolute values beyond the noise, squares within.
-                let soft = window.floor(equation).max(SETTINGS.soft_share * scale.min(f64::MAX));
-                let weight =
-                    if pass == 0 { 1.0 } else { 1.0 / left.abs().max(soft).max(f64::MIN_POSITIVE) };
-                for at in 0..k {
-                    right[at] += weight * row[at] * error;
-                    for other in 0..k {
-                        normal[(at, other)] += weight * row[at] * row[other];
-                    }
-                }
-                size += left.abs();
-                n += 1.0;
+                let soft = window.floor(equation).max(SETTINGS.soft_share * scale);
+                weighted.set_row(row, &(columns.row(row) / left[row].abs().max(soft)));
             }
-            scale = size / f64::max(n, 1.0);
-            if scale <= 0.0 || n < SETTINGS.windows_each * k as f64 {
-                return None;
-            }
-            let units: Vec<f64> = (0..k).map(|at| normal[(at, at)].sqrt()).collect();
-            if units.iter().any(|unit| !(unit.is_finite() && *unit > 0.0)) {
-                return None;
-            }
-            for at in 0..k {
-                right[at] /= units[at];
-                for other in 0..k {
-                    normal[(at, other)] /= units[at] * units[other];
-                }
-                normal[(at, at)] += SETTINGS.tied;
-            }
-            let solved = normal.cholesky()?.solve(&right);
-            change = DVector::from_fn(k, |at, _| solved[at] / units[at]);
         }
-        Some(change.iter().copied().collect())
+        let changes: Vec<f64> = change.iter().copied().collect();
+        self.take_out(equation, &changes);
+        Some(changes)
     }
 
     /// Takes the changes out of the balance's error.
