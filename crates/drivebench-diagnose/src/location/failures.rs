@@ -109,6 +109,12 @@ impl Regression<'_> {
         self.fit(rows).filter(Fit::is_reported)
     }
 
+    /// A variable of one column, with its coefficient.
+    fn single(&self, column: impl Fn(&Window) -> f64) -> Option<(f64, Fit)> {
+        let fit = self.reported(&self.rows(1, |window, row| row[0] = column(window)))?;
+        Some((fit.coefficients[0], fit))
+    }
+
     fn ranked(
         &self,
         variable: &'static str,
@@ -175,8 +181,7 @@ impl Regression<'_> {
         let keys = own_keys(self.equation).iter().zip(variables).enumerate();
         let one = |(column, (&key, &variable)): (usize, (&MotorKey, &&'static str))| {
             let value = |window: &Window| window.own(self.equation)[column];
-            let fit = self.reported(&self.rows(1, |window, row| row[0] = value(window)))?;
-            let by = fit.coefficients[0];
+            let (by, fit) = self.single(value)?;
             let region = if key == MotorKey::LoadTorque {
                 everywhere(-1.0, 1.0)
             } else {
@@ -196,9 +201,8 @@ impl Regression<'_> {
 
     /// Delay of the voltage: `v = -delay <du/dt>`.
     fn late(&self, model: &Model) -> Option<Ranked> {
-        let fit = self.reported(&self.rows(1, |window, row| row[0] = window.input_rate))?;
         // The loss is u(t) - u(t - delay).
-        let delay_s = fit.coefficients[0];
+        let (delay_s, fit) = self.single(|window| window.input_rate)?;
         let value = |key| model.motor.get(key).unwrap_or(f64::NAN);
         let time_constant_s = value(MotorKey::Inductance) / value(MotorKey::Resistance);
         // Samples that do not resolve the armature's transient show a delay, but not its length.
@@ -282,8 +286,7 @@ impl Regression<'_> {
 
     /// A constant error.
     fn offset(&self) -> Option<Ranked> {
-        let fit = self.reported(&self.rows(1, |_, row| row[0] = 1.0))?;
-        let by = fit.coefficients[0];
+        let (by, fit) = self.single(|_| 1.0)?;
         let variable = match self.equation {
             Balance::Torque => "offset_n_m",
             Balance::Voltage => "offset_v",

@@ -108,13 +108,8 @@ fn share(
             column(errors, effect.terms(&values).as_ref(), model, angle)
         });
         let columns = columns.collect::<Option<Vec<_>>>()?;
-        let mut row = 0;
-        let rows = errors.rows(columns.len(), |_, cells| {
-            for (cell, column) in cells.iter_mut().zip(&columns) {
-                *cell = column[row];
-            }
-            row += 1;
-        });
+        let row = |row: usize| columns.iter().map(|column| column[row]).collect();
+        let rows: Vec<Vec<f64>> = (0..errors.each.len()).map(row).collect();
         errors.reported(&rows).map(|fit| fit.follows)
     });
     best.max_by(f64::total_cmp)

@@ -13,7 +13,7 @@
 
 use std::f64::consts::TAU;
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{Complex, DMatrix, DVector};
 
 use super::windows::{Window, Windows, own_keys};
 use drivebench_model::numerics::count::whole;
@@ -30,6 +30,8 @@ struct Settings {
     closest_share: f64,
     /// Windows between two knots.
     windows_each_knot: usize,
+    /// Blocks of time for each column, without which a clustered covariance is not determined.
+    blocks_each_column: f64,
     /// Rows that each column needs, and those of the whole.
     rows_each_column: usize,
     fewest_rows: usize,
@@ -55,6 +57,7 @@ const SETTINGS: Settings = Settings {
     apart_share_of_size: 0.5,
     closest_share: 0.004,
     windows_each_knot: 8,
+    blocks_each_column: 1.5,
     rows_each_column: 3,
     fewest_rows: 10,
     harmonics: 4,
@@ -130,9 +133,7 @@ pub(super) struct Fit {
     pub noise: f64,
     /// Windows beyond the own parameters.
     spare: f64,
-    columns: DMatrix<f64>,
-    left: DVector<f64>,
-    bread: DMatrix<f64>,
+    beside: Beside,
     blocks: Vec<usize>,
 }
 
@@ -159,9 +160,9 @@ impl Fit {
     }
 
     fn covariance(&self) -> DMatrix<f64> {
-        let known = vec![true; self.columns.ncols()];
-        let bread = self.bread.clone();
-        least_squares::clustered(&self.columns, &self.left, &self.blocks, bread, &known)
+        let Beside { columns, left, bread, .. } = &self.beside;
+        let known = vec![true; columns.ncols()];
+        least_squares::clustered(columns, left, &self.blocks, bread.clone(), &known)
     }
 }
 
@@ -240,16 +241,10 @@ impl<'a> Regression<'a> {
         }
         let window = |row: usize| self.each[used[row]].0;
         let base = DMatrix::from_fn(n, own, |row, at| window(row).own(self.equation)[at]);
-        let errors = DMatrix::from_fn(n, 1, |row, _| self.each[used[row]].1);
-        let raw = DMatrix::from_fn(n, added, |row, at| rows[used[row]][at]);
-        let (bread, _) = least_squares::inverse_where_determined(&base);
-        let left_over = |of: DMatrix<f64>| &of - &base * (&bread * base.tr_mul(&of));
-        let residual = left_over(errors.clone()).column(0).into_owned();
-        let columns = left_over(raw.clone());
-        let bread = bread_beside(&raw, &columns);
-        let coefficients = &bread * columns.tr_mul(&residual);
-        let left = &residual - &columns * &coefficients;
-        let (power, unexplained) = (residual.norm_squared(), left.norm_squared());
+        let errors = DVector::from_fn(n, |row, _| self.each[used[row]].1);
+        let columns = DMatrix::from_fn(n, added, |row, at| rows[used[row]][at]);
+        let fit = beside(&base, &columns, &errors);
+        let (power, unexplained) = (fit.residual.norm_squared(), fit.left.norm_squared());
         if power <= 0.0 {
             return None;
         }
@@ -262,10 +257,11 @@ impl<'a> Regression<'a> {
         let beyond = (power - noise).max(LEAST_BEYOND_SHARE * power);
         let mut fitted = vec![f64::NAN; rows.len()];
         for (at, row) in used.iter().enumerate() {
-            fitted[*row] = errors[at] - left[at];
+            fitted[*row] = errors[at] - fit.left[at];
         }
         let begin_s = window(0).time_s;
-        let block_s = self.windows.scenario.scales.block_s();
+        let shortest = (window(n - 1).time_s - begin_s) / (SETTINGS.blocks_each_column * (k + 2.0));
+        let block_s = self.windows.scenario.scales.block_s().min(shortest);
         let block = |row: usize| whole((window(row).time_s - begin_s) / block_s);
         Some(Fit {
             r2: 1.0 - unexplained / (spare - k) / (power / spare),
@@ -274,12 +270,10 @@ impl<'a> Regression<'a> {
             rms: (power / spare).sqrt(),
             noise: (noise / n as f64).sqrt(),
             blocks: (0..n).map(block).collect(),
-            coefficients,
+            coefficients: fit.coefficients.clone(),
             fitted,
             spare,
-            columns,
-            left,
-            bread,
+            beside: fit,
         })
     }
 
@@ -393,18 +387,39 @@ impl<'a> Regression<'a> {
     }
 }
 
-/// `(X'X)^-1` of columns without their canonical variates that the own parameters explain nearly as well: those stay at zero.
-fn bread_beside(raw: &DMatrix<f64>, columns: &DMatrix<f64>) -> DMatrix<f64> {
+/// Least squares on columns beside others.
+pub(super) struct Beside {
+    pub coefficients: DVector<f64>,
+    /// Columns and errors without what the others explain, and what is left of these.
+    columns: DMatrix<f64>,
+    residual: DVector<f64>,
+    left: DVector<f64>,
+    /// `(X'X)^-1`, without the canonical variates that the others explain nearly as well: those stay at zero.
+    bread: DMatrix<f64>,
+}
+
+/// Regression of errors on columns after `others` are partialled out.
+pub(super) fn beside(
+    others: &DMatrix<f64>,
+    columns: &DMatrix<f64>,
+    errors: &DVector<f64>,
+) -> Beside {
+    let (inverse, _) = least_squares::inverse_where_determined(others);
+    let residual = errors - others * (&inverse * others.tr_mul(errors));
     let spectral = |matrix: DMatrix<f64>, of: &dyn Fn(f64) -> f64| {
         let eigen = matrix.symmetric_eigen();
         let values = DMatrix::from_diagonal(&eigen.eigenvalues.map(of));
         &eigen.eigenvectors * values * eigen.eigenvectors.transpose()
     };
-    let (inverse, _) = least_squares::inverse_where_determined(raw);
-    let root = spectral(inverse, &|value| value.max(0.0).sqrt());
-    let tolerances = &root * columns.tr_mul(columns) * &root;
+    let root = least_squares::inverse_where_determined(columns).0;
+    let root = spectral(root, &|value| value.max(0.0).sqrt());
+    let columns = columns - others * (inverse * others.tr_mul(columns));
+    let tolerances = &root * columns.tr_mul(&columns) * &root;
     let kept = |tolerance| if tolerance > LEAST_TOLERANCE { 1.0 / tolerance } else { 0.0 };
-    &root * spectral(tolerances, &kept) * &root
+    let bread = &root * spectral(tolerances, &kept) * &root;
+    let coefficients = &bread * columns.tr_mul(&residual);
+    let left = &residual - &columns * &coefficients;
+    Beside { coefficients, columns, residual, left, bread }
 }
 
 /// Least share of a combination of columns that the own parameters must leave.
@@ -486,26 +501,24 @@ impl Regression<'_> {
             return None;
         }
         let size = length.next_power_of_two() * 2;
-        let (mut real, mut imaginary) = (vec![0.0; size], vec![0.0; size]);
+        let mut series = vec![Complex::default(); size];
         for (window, error) in &self.each {
             let place = whole(((window.time_s - begin_s) / stride_s).round());
-            real[place.min(length - 1)] = *error;
+            series[place.min(length - 1)] = Complex::from(*error);
         }
-        transform(&mut real, &mut imaginary);
+        let spectrum = transform(&series);
         let resolution_hz = 1.0 / (size as f64 * stride_s);
         let lowest = whole(SETTINGS.fewest_periods / length_s / resolution_hz) + 1;
-        let power = |k: usize| real[k].powi(2) + imaginary[k].powi(2);
+        let power = |k: usize| spectrum[k].norm_sqr();
         let peak = (lowest..size / 2).max_by(|a, b| power(*a).total_cmp(&power(*b)))?;
         let width = whole(SETTINGS.line_width / length_s / resolution_hz);
         let apart = (lowest..size / 2).filter(|k| k.abs_diff(peak) > width);
         let next = apart.map(power).fold(0.0, f64::max);
         let power_at = |frequency_hz: f64| {
-            let (mut c, mut s) = (0.0, 0.0);
-            for (window, error) in &self.each {
-                let (sin, cos) = (TAU * frequency_hz * window.time_s).sin_cos();
-                (c, s) = (c + cos * error, s + sin * error);
-            }
-            c * c + s * s
+            let turned = |(window, error): &(&Window, f64)| {
+                Complex::cis(TAU * frequency_hz * window.time_s) * *error
+            };
+            self.each.iter().map(turned).sum::<Complex<f64>>().norm_sqr()
         };
         let steps = -SETTINGS.refinement..=SETTINGS.refinement;
         let frequency_hz = steps
@@ -530,38 +543,19 @@ impl Regression<'_> {
     }
 }
 
-/// Fast Fourier transform in place; the length is a power of two (Cooley and Tukey 1965).
-fn transform(real: &mut [f64], imaginary: &mut [f64]) {
-    let n = real.len();
-    let mut other = 0;
-    for at in 1..n {
-        let mut bit = n >> 1;
-        while other & bit != 0 {
-            other ^= bit;
-            bit >>= 1;
-        }
-        other |= bit;
-        if at < other {
-            real.swap(at, other);
-            imaginary.swap(at, other);
-        }
+/// Fast Fourier transform; the length is a power of two (Cooley and Tukey 1965).
+fn transform(values: &[Complex<f64>]) -> Vec<Complex<f64>> {
+    let n = values.len();
+    if n < 2 {
+        return values.to_vec();
     }
-    let mut length = 2;
-    while length <= n {
-        let step = -TAU / length as f64;
-        for start in (0..n).step_by(length) {
-            for k in 0..length / 2 {
-                let (sin, cos) = (step * k as f64).sin_cos();
-                let (a, b) = (start + k, start + k + length / 2);
-                let re = real[b] * cos - imaginary[b] * sin;
-                let im = real[b] * sin + imaginary[b] * cos;
-                (real[b], imaginary[b]) = (real[a] - re, imaginary[a] - im);
-                real[a] += re;
-                imaginary[a] += im;
-            }
-        }
-        length *= 2;
+    let half = |first| values.iter().skip(first).step_by(2).copied().collect::<Vec<_>>();
+    let (even, mut odd) = (transform(&half(0)), transform(&half(1)));
+    for (k, value) in odd.iter_mut().enumerate() {
+        *value *= Complex::cis(-TAU * k as f64 / n as f64);
     }
+    let pairs = || even.iter().zip(&odd);
+    pairs().map(|(a, b)| a + b).chain(pairs().map(|(a, b)| a - b)).collect()
 }
 
 #[cfg(test)]
@@ -571,13 +565,11 @@ mod tests {
     #[test]
     fn the_transform_of_a_wave_has_its_power_in_one_bin() {
         let n = 64;
-        let wave = |k: usize| (TAU * 5.0 * k as f64 / n as f64).cos();
-        let (mut real, mut imaginary): (Vec<f64>, _) = ((0..n).map(wave).collect(), vec![0.0; n]);
-        transform(&mut real, &mut imaginary);
-        for k in 0..n {
+        let wave = |k: usize| Complex::from((TAU * 5.0 * k as f64 / n as f64).cos());
+        let found = transform(&(0..n).map(wave).collect::<Vec<_>>());
+        for (k, value) in found.iter().enumerate() {
             let expected = if k == 5 || k == n - 5 { 32.0 } else { 0.0 };
-            let apart = (real[k] - expected).hypot(imaginary[k]);
-            assert!(apart < 1e-9, "{k}");
+            assert!((value - expected).norm() < 1e-9, "{k}");
         }
     }
 }

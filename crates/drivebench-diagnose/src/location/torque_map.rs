@@ -5,21 +5,24 @@
 //!                                                                               mean, 95 % interval, windows of each
 //! ```
 //!
-//! From a cogging map a friction of each direction, `a + b w`, is removed alternately with the bins: the rest is a torque of
-//! the angle alone, whose work over a turn is zero.
+//! From a cogging map a friction of each direction, `a + b w`, is partialled out: the rest is a torque of the angle alone. The
+//! interval of a bin is that of its few windows: one held speed is one block of time, of which a clustered covariance knows no
+//! spread.
 //!
 //! Nothing of the mapped torque's form is taken from the model; its Kt and J are, and an error of them scales what is found.
 //! A bin without enough windows has no value.
 
 use std::f64::consts::TAU;
 
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::regression::Regression;
+use super::regression::{Regression, beside};
 use super::windows::{FEWEST_HALF, Window, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::numerics::count::whole;
+use drivebench_model::numerics::least_squares;
 use drivebench_model::numerics::statistics::{extent, largest, median};
 use drivebench_model::plant::{
     Balance, MapBin, MappedTorque, MappedValue, Model, Scenario, TorqueMap,
@@ -38,9 +41,6 @@ const MOST_TURN_RAD: f64 = 0.3;
 const TURN_SHARE: f64 = 0.8;
 /// Share of a bin by which the speed of a window may vary (a standard deviation).
 const STEADY_SHARE: f64 = 0.5;
-/// Rounds of the backfitting, and the least spread of speeds, over the square of their mean, that has a slope.
-const BACKFITS: usize = 50;
-const SPREAD: f64 = 1e-4;
 /// Two-sided level of the intervals.
 const LEVEL: f64 = 0.95;
 
@@ -170,51 +170,25 @@ fn steady_speed(windows: &Windows<'_>, window: &Window, width: f64) -> Option<f6
     (one_way && variance.sqrt() < STEADY_SHARE * width).then_some(mean)
 }
 
-/// Takes what depends on the speed out of torques over a turn: the bins' means and a line over the speed of each direction,
-/// one after the other until neither changes (backfitting; Hastie and Tibshirani, Generalized Additive Models, 1990).
+/// Takes what depends on the speed out of torques over a turn: a line over the speed of each direction, beside the bins.
 fn take_friction_out(found: &mut [WindowTorque], bins: &[MapBin]) {
     let width = bins[0].to - bins[0].from;
     let bin_of = |found: &WindowTorque| whole((found.place / width).floor()).min(bins.len() - 1);
-    let mut wave = vec![0.0; bins.len()];
-    let mut lines = [[0.0; 2]; 2];
-    let way = |found: &WindowTorque| usize::from(found.speed_rad_s < 0.0);
-    let friction = |lines: &[[f64; 2]; 2], found: &WindowTorque| {
-        let [at_rest, slope] = lines[way(found)];
-        at_rest + slope * found.speed_rad_s
-    };
-    for _ in 0..BACKFITS {
-        for (direction, line) in lines.iter_mut().enumerate() {
-            let own = found.iter().filter(|found| way(found) == direction);
-            let rest = own.map(|found| (found.speed_rad_s, found.torque_n_m - wave[bin_of(found)]));
-            *line = straight(&rest.collect::<Vec<_>>());
-        }
-        let mut sums = vec![(0.0, 0.0); bins.len()];
-        for found in &*found {
-            let (sum, count) = &mut sums[bin_of(found)];
-            *sum += found.torque_n_m - friction(&lines, found);
-            *count += 1.0;
-        }
-        let known = sums.iter().filter(|(_, count)| *count > 0.0);
-        let middle = known.clone().map(|(sum, count)| sum / count).sum::<f64>()
-            / known.count().max(1) as f64;
-        for (wave, (sum, count)) in wave.iter_mut().zip(&sums) {
-            *wave = if *count > 0.0 { sum / count - middle } else { 0.0 };
-        }
+    let lines = DMatrix::from_fn(found.len(), 4, |row, at| {
+        let speed_rad_s = found[row].speed_rad_s;
+        let is_own = (speed_rad_s < 0.0) == (at < 2);
+        if is_own { [1.0, speed_rad_s][at % 2] } else { 0.0 }
+    });
+    let in_bin = |row: usize, bin| f64::from(u8::from(bin_of(&found[row]) == bin));
+    let columns = DMatrix::from_fn(found.len(), bins.len(), in_bin);
+    let torques = DVector::from_fn(found.len(), |row, _| found[row].torque_n_m);
+    let of_bins = beside(&lines, &columns, &torques);
+    let wave = &columns * of_bins.coefficients;
+    let (inverse, _) = least_squares::inverse_where_determined(&lines);
+    let friction = &lines * (inverse * lines.tr_mul(&(torques - wave)));
+    for (found, friction) in found.iter_mut().zip(&friction) {
+        found.torque_n_m -= friction;
     }
-    for found in found {
-        found.torque_n_m -= friction(&lines, found);
-    }
-}
-
-/// Intercept and slope by least squares; no slope where all positions are equal.
-fn straight(points: &[(f64, f64)]) -> [f64; 2] {
-    let n = points.len().max(1) as f64;
-    let mean = |value: fn(&(f64, f64)) -> f64| points.iter().map(value).sum::<f64>() / n;
-    let (x, y) = (mean(|point| point.0), mean(|point| point.1));
-    let square: f64 = points.iter().map(|point| (point.0 - x).powi(2)).sum();
-    let product: f64 = points.iter().map(|point| (point.0 - x) * (point.1 - y)).sum();
-    let slope = if square > SPREAD * n * x * x { product / square } else { 0.0 };
-    [y - slope * x, slope]
 }
 
 fn filled(bin: MapBin, found: &[WindowTorque]) -> MapBin {

@@ -261,21 +261,18 @@ impl<'a> Windows<'a> {
         let (back_emf, inertia) = (value(MotorKey::BackEmf), value(MotorKey::Inertia));
         let load = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
         let weights = Weights::over(times);
-        let (mut e_i, mut e_i_rate, mut e_w, mut e_w_rate) = (0.0, 0.0, 0.0, 0.0);
+        let less = |measured: &[f64], predicted: &[f64]| -> Vec<f64> {
+            measured.iter().zip(predicted).map(|(own, other)| own - other).collect()
+        };
+        let (error_i, error_w) = (less(measured_i, current), less(measured_w, speed));
+        let [e_i, e_w] = [&error_i, &error_w].map(|error| dot(&weights.mean, error));
+        let [e_i_rate, e_w_rate] = [&error_i, &error_w].map(|error| dot(&weights.rate, error));
         let (mut opposite, mut direction, mut at_rest) = (0.0, 0.0, 0.0);
-        for k in 0..times.len() {
-            let (error_i, error_w) = (measured_i[k] - current[k], measured_w[k] - speed[k]);
-            let (mean, rate) = (weights.mean[k], weights.rate[k]);
-            e_i += mean * error_i;
-            e_i_rate += rate * error_i;
-            e_w += mean * error_w;
-            e_w_rate += rate * error_w;
-            if measured_w[k].abs() > self.dead_zone_rad_s {
-                direction += mean * measured_w[k].signum();
-                if measured_w[k] * speed[k] < 0.0 {
-                    opposite += mean * 2.0 * measured_w[k].signum();
-                }
-            } else if measured_w[k].abs() <= self.dead_zone_rad_s {
+        for ((own, other), mean) in measured_w.iter().zip(speed).zip(&weights.mean) {
+            if own.abs() > self.dead_zone_rad_s {
+                direction += mean * own.signum();
+                opposite += if own * other < 0.0 { 2.0 * mean * own.signum() } else { 0.0 };
+            } else if own.abs() <= self.dead_zone_rad_s {
                 at_rest += mean;
             }
         }
