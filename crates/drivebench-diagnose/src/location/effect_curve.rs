@@ -79,13 +79,9 @@ impl EffectCurve {
 
 impl From<&AxisMap> for EffectCurve {
     fn from(map: &AxisMap) -> Self {
-        let points = map.knots.iter().zip(&map.values).enumerate();
-        let point = |(knot, (at, mean)): (usize, (&f64, &f64))| CurvePoint {
-            at: *at,
-            mean: *mean,
-            std: map.std.get(knot).copied().unwrap_or(f64::NAN),
-            count: 0,
-        };
+        let points = map.knots.iter().zip(&map.values).zip(&map.std);
+        let point =
+            |((&at, &mean), &std): ((&f64, &f64), &f64)| CurvePoint { at, mean, std, count: 0 };
         Self {
             effect: None,
             equation: map.equation,
@@ -229,11 +225,10 @@ impl<'a> Pairs<'a> {
     /// The equation with the larger error, in units of its noise.
     fn equation(&self, equations: &[Balance]) -> Option<Balance> {
         let size = |equation: &Balance| {
-            let drawn = self.drawn(*equation);
-            let noise: f64 = drawn.each.iter().map(|at| at.0.floor(*equation).powi(2)).sum();
-            let own: f64 = drawn.each.iter().map(|at| at.0.error(*equation).powi(2)).sum();
-            let power: f64 = drawn.each.iter().map(|at| at.1.powi(2)).sum();
-            power / f64::max(if noise > 0.0 { noise } else { own }, f64::MIN_POSITIVE)
+            let noise = Regression::of(self.without_it, *equation, |_, own| own.floor(*equation));
+            let without = self.of(*equation, |without, _| without);
+            let unit = if noise.rms() > 0.0 { noise.rms() } else { without.rms() };
+            self.drawn(*equation).rms() / unit.max(f64::MIN_POSITIVE)
         };
         let sizes = equations.iter().map(|equation| (size(equation), *equation));
         Some(sizes.max_by(|a, b| a.0.total_cmp(&b.0))?.1)

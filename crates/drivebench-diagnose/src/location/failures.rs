@@ -214,7 +214,7 @@ impl Regression<'_> {
 
     /// The order per turn that explains most.
     fn turns(&self) -> Option<Ranked> {
-        let all = self.waves(&self.angle_at_samples()?, 1.0, SETTINGS.orders);
+        let all = self.waves(&self.windows.angle_at_samples()?, 1.0, SETTINGS.orders);
         let of_order = |order: usize| {
             // Above half the sampling rate a wave is aliased: it is left out.
             let is_aliased = |window: &Window| {

@@ -3,12 +3,12 @@
 //! ```text
 //! model, run -> windows   error of each equation in overlapping windows, with its deviation by noise, and the part that
 //!                  |      a change of the motor's own values explains (reported, or removed)
-//!                  |-> axis    how much of it follows speed, current, angle, time, voltage edges, a line in frequency, and
-//!                  |           the narrowest range that holds most of it
-//!                  |-> curve   the error as a curve over a variable, with its uncertainty
-//!                  |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |-> regression  the error on hat functions or harmonics of a variable, or on a line in frequency
+//!                  |     |-> failures      how much of it follows each variable, and the narrowest range that holds most
+//!                  |     |-> curve         the error as a curve over a variable, with its uncertainty
+//!                  |     |-> effect_curve  the same without an effect and with it, and the effect drawn through the points
+//!                  |     '-> provisional_ranking  effects by the share of the error that each explains, during a run
 //!                  |-> torque_map  friction over speed, cogging over a turn, for other programs
-//!                  |-> provisional_ranking  effects by the share of the residual that each explains to first order, during a run
 //!                  '-> the error over speed x current, with counts
 //! ```
 //!
@@ -39,7 +39,7 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::extent;
+use drivebench_model::numerics::statistics::{extent, mean};
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Scenario};
 
 /// A region that holds much of the error of one equation.
@@ -447,9 +447,6 @@ const LARGEST_DIGIT: f64 = 9.0;
 /// Share of the root mean square that a mean must have for its sign to be significant.
 const SIGNED_SHARE: f64 = 0.5;
 
-/// Sums of squares and of errors in a cell, and their number.
-type Sums = (f64, f64, usize);
-
 impl ErrorMap {
     /// Error of one equation, cell by cell.
     pub fn cells(&self, equation: &str) -> &[Vec<Option<f64>>] {
@@ -502,41 +499,31 @@ impl ErrorMap {
             let width = (edges[CELLS] - edges[0]) / CELLS as f64;
             whole((value - edges[0]) / width).min(CELLS - 1)
         };
-        let mut count = vec![vec![0; CELLS]; CELLS];
-        let equations = [Balance::Torque, Balance::Voltage];
-        let mut sums = equations.map(|_| vec![vec![(0.0, 0.0, 0_usize); CELLS]; CELLS]);
-        for window in &windows.each {
-            if !(window.speed_rad_s.is_finite() && window.current_a.is_finite()) {
-                continue;
-            }
+        let known = |w: &&Window| w.speed_rad_s.is_finite() && w.current_a.is_finite();
+        let mut inside = vec![vec![Vec::new(); CELLS]; CELLS];
+        for window in windows.each.iter().filter(known) {
             let row = cell(&speed, window.speed_rad_s);
-            let column = cell(&current, window.current_a);
-            count[row][column] += 1;
-            for (equation, cells) in equations.into_iter().zip(&mut sums) {
-                let error = window.error(equation);
-                if error.is_finite() {
-                    cells[row][column].0 += error * error;
-                    cells[row][column].1 += error;
-                    cells[row][column].2 += 1;
-                }
-            }
+            inside[row][cell(&current, window.current_a)].push(window);
         }
-        let of = |value: fn(&Sums) -> f64| {
-            let cell = |sums: &Sums| (sums.2 > 0).then(|| value(sums));
-            let [torque, voltage] = &sums;
-            [torque, voltage]
-                .map(|cells| cells.iter().map(|row| row.iter().map(cell).collect()).collect())
+        let in_cells = |equation: Balance, value: fn(&[f64]) -> f64| {
+            let cell = |own: &Vec<&Window>| {
+                let errors = own.iter().map(|window| window.error(equation));
+                let errors: Vec<f64> = errors.filter(|error| error.is_finite()).collect();
+                (!errors.is_empty()).then(|| value(&errors))
+            };
+            inside.iter().map(|row| row.iter().map(cell).collect()).collect()
         };
-        let [torque_rms_n_m, voltage_rms_v] = of(|(power, _, n)| (power / *n as f64).sqrt());
-        let [torque_mean_n_m, voltage_mean_v] = of(|(_, sum, n)| sum / *n as f64);
+        let rms = |errors: &[f64]| {
+            (errors.iter().map(|error| error * error).sum::<f64>() / errors.len() as f64).sqrt()
+        };
         Some(Self {
             speed_edges_rad_s: speed,
             current_edges_a: current,
-            count,
-            torque_rms_n_m,
-            voltage_rms_v,
-            torque_mean_n_m,
-            voltage_mean_v,
+            count: inside.iter().map(|row| row.iter().map(Vec::len).collect()).collect(),
+            torque_rms_n_m: in_cells(Balance::Torque, rms),
+            voltage_rms_v: in_cells(Balance::Voltage, rms),
+            torque_mean_n_m: in_cells(Balance::Torque, mean),
+            voltage_mean_v: in_cells(Balance::Voltage, mean),
         })
     }
 }

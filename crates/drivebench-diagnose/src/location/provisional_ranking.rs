@@ -54,7 +54,7 @@ pub fn provisional_ranking(
         }
         let badness = super::nres(&balance).unwrap_or(balance.relative);
         let errors = Regression::new(&windows, equation, true);
-        let angle = errors.angle_at_samples();
+        let angle = windows.angle_at_samples();
         for effect in CATALOGUE {
             let share = share(&errors, *effect, model, angle.as_deref());
             if let Some(share) = share.filter(|share| *share >= NAMED_SHARE) {

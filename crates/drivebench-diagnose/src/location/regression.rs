@@ -32,9 +32,8 @@ struct Settings {
     windows_each_knot: usize,
     /// Blocks of time for each column, without which a clustered covariance is not determined.
     blocks_each_column: f64,
-    /// Rows that each column needs, and those of the whole.
+    /// Rows that each column needs.
     rows_each_column: usize,
-    fewest_rows: usize,
     /// Harmonics of an angle, and the knots at which the curve over a period is given.
     harmonics: usize,
     knots_of_a_turn: usize,
@@ -59,7 +58,6 @@ const SETTINGS: Settings = Settings {
     windows_each_knot: 8,
     blocks_each_column: 1.5,
     rows_each_column: 3,
-    fewest_rows: 10,
     harmonics: 4,
     knots_of_a_turn: 16,
     least_gain: 0.1,
@@ -197,7 +195,7 @@ impl<'a> Regression<'a> {
 
     pub(super) fn rms(&self) -> f64 {
         let power: f64 = self.each.iter().map(|(_, error)| error * error).sum();
-        (power / self.each.len() as f64).sqrt()
+        (power / self.each.len().max(1) as f64).sqrt()
     }
 
     /// A row of columns for each window.
@@ -236,7 +234,7 @@ impl<'a> Regression<'a> {
         let is_known = |row: &usize| rows[*row].iter().all(|value| value.is_finite());
         let used: Vec<usize> = (0..rows.len()).filter(is_known).collect();
         let n = used.len();
-        if added == 0 || n < SETTINGS.rows_each_column * (own + added) + SETTINGS.fewest_rows {
+        if added == 0 || n < SETTINGS.rows_each_column * (own + added) {
             return None;
         }
         let window = |row: usize| self.each[used[row]].0;
@@ -285,7 +283,7 @@ impl<'a> Regression<'a> {
         Some(Values::OfSamples(match variable {
             Variable::Axis(Axis::Speed) => scenario.speed_rad_s.clone(),
             Variable::Axis(Axis::Current) => scenario.current_a.clone(),
-            Variable::Axis(Axis::Angle) => self.angle_at_samples()?,
+            Variable::Axis(Axis::Angle) => self.windows.angle_at_samples()?,
             Variable::Axis(Axis::Time) => at_samples(&|time_s| time_s - scenario.begin_s()),
             Variable::Axis(Axis::Voltage) => at_samples(&|time_s| scenario.input_at(time_s)),
             Variable::CurrentRate => {
@@ -367,23 +365,6 @@ impl<'a> Regression<'a> {
         };
         let (rows, shape) = (rows(knots.len(), &put), DMatrix::identity(knots.len(), knots.len()));
         Some(Basis { places, rows, knots, shape })
-    }
-
-    /// Angle of the shaft at every sample, extrapolated beyond the ends of the record.
-    pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
-        let points = self.windows.scenario.shaft_angle();
-        if points.len() < 2 {
-            return None;
-        }
-        let mut next = 1;
-        let at = |time_s: &f64| {
-            while next + 1 < points.len() && points[next].0 < *time_s {
-                next += 1;
-            }
-            let (before, after) = (points[next - 1], points[next]);
-            before.1 + (after.1 - before.1) * (time_s - before.0) / (after.0 - before.0)
-        };
-        Some(self.windows.scenario.sample_time_s.iter().map(at).collect())
     }
 }
 

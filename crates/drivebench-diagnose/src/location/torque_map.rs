@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::regression::{Regression, beside};
+use super::regression::beside;
 use super::windows::{FEWEST_HALF, Window, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
@@ -110,11 +110,10 @@ pub fn torque_map(
             left_out.push((index, signal));
             continue;
         }
-        let errors = Regression::new(&windows, Balance::Torque, false);
         let angle = match of {
             MappedTorque::Friction => Vec::new(),
             MappedTorque::Cogging => {
-                let Some(angle) = errors.angle_at_samples() else {
+                let Some(angle) = windows.angle_at_samples() else {
                     left_out.push((index, "angle"));
                     continue;
                 };

@@ -17,6 +17,7 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Balance, Input, Model, MotorKey, Plant, Scenario};
+use drivebench_model::signal;
 
 /// Thresholds of the windows and of the errors of their balances.
 struct Settings {
@@ -340,6 +341,13 @@ impl<'a> Windows<'a> {
 
     pub(super) fn weights_of(&self, window: &Window) -> Weights {
         Weights::over(&self.scenario.sample_time_s[self.samples_of(window)])
+    }
+
+    /// Angle of the shaft at every sample; the end values hold beyond those of the angle.
+    pub(super) fn angle_at_samples(&self) -> Option<Vec<f64>> {
+        let points = self.scenario.shaft_angle();
+        let at = |time_s: &f64| signal::line_with_ends(&points, *time_s);
+        (points.len() > 1).then(|| self.scenario.sample_time_s.iter().map(at).collect())
     }
 
     /// Windows whose error is known.
