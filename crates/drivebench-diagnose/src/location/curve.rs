@@ -1,7 +1,4 @@
 //! Axis map: each equation's error as a curve over one variable, with its uncertainty.
-//!
-//! The current is no axis of the torque balance and the voltage none of the voltage balance: they are what the balance is
-//! solved for.
 
 use std::ops::RangeInclusive;
 
@@ -13,7 +10,7 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::plant::effect::Axis;
-use drivebench_model::plant::{Balance, Input, Model, Scenario};
+use drivebench_model::plant::{Balance, Model, Scenario};
 use drivebench_model::sample::TWO_SIDED_95;
 
 /// Samples that half a window of the torque balance has at least: the shaft is slow, so that more of the noise can be
@@ -107,8 +104,8 @@ pub fn axis_map(
         // Without a fit of its own the error of an equation would be that of values from another equation.
         windows.fit_own(*equation);
         let errors = Regression::new(&windows, *equation, true);
-        let axes = axes(*equation, scenario.input).iter();
-        maps.extend(axes.filter_map(|axis| errors.map(*axis)));
+        let variables = Variable::of(*equation, scenario.input, false).into_iter();
+        maps.extend(variables.filter_map(|variable| errors.map(variable)));
         if *equation == Balance::Torque {
             maps.extend(errors.line_map());
         }
@@ -117,20 +114,10 @@ pub fn axis_map(
     Ok(maps)
 }
 
-/// The axes of a balance. The input of a run that is driven by current or torque is what its balance is solved for.
-fn axes(equation: Balance, input: Input) -> &'static [Axis] {
-    match (equation, input) {
-        (Balance::Voltage, _) => &[Axis::Speed, Axis::Current, Axis::Angle, Axis::Time],
-        (Balance::Torque, Input::Voltage) => &[Axis::Speed, Axis::Voltage, Axis::Angle, Axis::Time],
-        (Balance::Torque, Input::Current | Input::Torque) => {
-            &[Axis::Speed, Axis::Angle, Axis::Time]
-        }
-    }
-}
-
 impl Regression<'_> {
-    fn map(&self, axis: Axis) -> Option<AxisMap> {
-        let basis = self.basis(Variable::Axis(axis), 1.0)?;
+    fn map(&self, variable: Variable) -> Option<AxisMap> {
+        let Variable::Axis(axis) = variable else { return None };
+        let basis = self.basis(variable, 1.0)?;
         let fit = self.fit(&basis.rows)?;
         let (values, std) = fit.curve(&basis);
         let integrated = axis == Axis::Angle && self.windows.scenario.angle.is_empty();

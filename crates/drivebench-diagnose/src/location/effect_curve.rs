@@ -17,7 +17,7 @@ use super::windows::{FEWEST_HALF, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::plant::effect::{self, Axis, ParameterRole};
-use drivebench_model::plant::{ActiveEffect, Balance, Effect, Input, Model, Scenario};
+use drivebench_model::plant::{ActiveEffect, Balance, Effect, Model, Scenario};
 
 /// One knot of the axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -191,7 +191,7 @@ impl<'a> Pairs<'a> {
         let (equation, Along { variable, basis, fit }) = own.or_else(|| {
             let equation = self.equation(equations)?;
             let drawn = self.drawn(equation);
-            let tried = candidates(equation, input, active.is_some()).into_iter();
+            let tried = Variable::of(equation, input, active.is_some()).into_iter();
             let weight = |along: &Along| {
                 let is_time = along.variable == Variable::Axis(Axis::Time);
                 along.fit.r2 * if is_time { WEIGHT_OF_TIME } else { 1.0 }
@@ -265,29 +265,6 @@ fn periods_per_turn(active: Option<&ActiveEffect>) -> f64 {
         active.values_or_guess().get(place).copied()
     });
     order.filter(|order| *order >= 1.0).unwrap_or(1.0).round()
-}
-
-/// Axes that are tried. The variable that a balance is solved for is none where only the error is known: every missing effect
-/// correlates with it.
-fn candidates(equation: Balance, input: Input, has_effect: bool) -> Vec<Variable> {
-    let mut tried = vec![Variable::Axis(Axis::Speed), Variable::Axis(Axis::Time)];
-    let is_electrical = input == Input::Voltage;
-    if is_electrical && (equation == Balance::Voltage || has_effect) {
-        tried.extend([Variable::Axis(Axis::Current), Variable::CurrentRate]);
-    }
-    if is_electrical && (equation == Balance::Torque || has_effect) {
-        tried.push(Variable::Axis(Axis::Voltage));
-    }
-    if is_electrical && equation == Balance::Voltage {
-        tried.push(Variable::VoltageRate);
-    }
-    if equation == Balance::Torque {
-        tried.push(Variable::Axis(Axis::Angle));
-    }
-    if has_effect {
-        tried.push(Variable::Acceleration);
-    }
-    tried
 }
 
 /// `model` with the effect `id` at this size; the time of an event is estimated in every run anew.

@@ -18,8 +18,8 @@ use nalgebra::{Complex, DMatrix, DVector};
 use super::windows::{Window, Windows, own_keys};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
-use drivebench_model::plant::Balance;
 use drivebench_model::plant::effect::{Axis, table_weights};
+use drivebench_model::plant::{Balance, Input};
 
 /// Choices of the regression.
 struct Settings {
@@ -52,10 +52,10 @@ struct Settings {
 }
 
 const SETTINGS: Settings = Settings {
-    apart_share: 1.0 / 32.0,
+    apart_share: 1.0 / 40.0,
     apart_share_of_size: 0.5,
     closest_share: 0.004,
-    windows_each_knot: 8,
+    windows_each_knot: 5,
     blocks_each_column: 1.5,
     rows_each_column: 3,
     harmonics: 4,
@@ -78,6 +78,28 @@ pub(super) enum Variable {
 }
 
 impl Variable {
+    /// Those on which an error, or what an effect does, may depend. The variable that a balance is solved for is none where only the
+    /// error is known: every missing effect correlates with it.
+    pub(super) fn of(equation: Balance, input: Input, has_effect: bool) -> Vec<Self> {
+        let mut found =
+            vec![Self::Axis(Axis::Speed), Self::Axis(Axis::Time), Self::Axis(Axis::Angle)];
+        if input == Input::Voltage {
+            if equation == Balance::Voltage || has_effect {
+                found.extend([Self::Axis(Axis::Current), Self::CurrentRate]);
+            }
+            if equation == Balance::Torque || has_effect {
+                found.push(Self::Axis(Axis::Voltage));
+            }
+            if equation == Balance::Voltage {
+                found.push(Self::VoltageRate);
+            }
+        }
+        if has_effect {
+            found.push(Self::Acceleration);
+        }
+        found
+    }
+
     pub(super) const fn key(self) -> &'static str {
         match self {
             Self::Axis(axis) => axis.key(),

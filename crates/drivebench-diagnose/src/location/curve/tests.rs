@@ -4,7 +4,7 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use drivebench_model::plant::MotorKey;
 use drivebench_model::plant::testing::record;
-use drivebench_model::plant::{ActiveEffect, Motor, effect};
+use drivebench_model::plant::{ActiveEffect, Input, Motor, effect};
 
 /// Steps over the whole speed range with a binary dither on top, after a standstill.
 fn rich(seed: u64, until_s: f64) -> Vec<(f64, f64)> {
