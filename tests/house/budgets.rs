@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_900),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 21_500),
+    ("crates/drivebench-diagnose", 21_200),
     ("crates/drivebench-emulator", 12_470),
     ("crates/drivebench-identify", 22_970),
     ("crates/drivebench-link", 16_350),
