@@ -98,8 +98,7 @@ impl Bench {
     ) -> Result<Inference, FitError> {
         let mut eligible = eligible.to_vec();
         loop {
-            let mut inference =
-                infer(baseline, &self.given, &eligible, &self.evidence, progress)?;
+            let mut inference = infer(baseline, &self.given, &eligible, &self.evidence, progress)?;
             if !self.fits_at_once() {
                 return Ok(inference);
             }

@@ -1,6 +1,8 @@
 //! An answer does not depend on the units of a machine: a record with every voltage, current, speed and time multiplied by a
 //! constant has the same verdict and names, and sizes that are multiplied likewise.
 
+use std::panic;
+
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
@@ -77,8 +79,12 @@ fn is_the_same(effect: &'static dyn Effect, here: &Diagnosis, there: &Diagnosis,
     let id = effect.card().id;
     let names = |found: &Diagnosis| (found.verdict, found.effects.clone());
     assert_eq!(names(here), names(there), "{id} {factors:?}");
+    // A turn is no unit: a shaft that turns through more of them within a sample shows no wave over the angle.
+    let turns_alike = (factors[2] * factors[3] - 1.0).abs() < 1e-9;
+    let is_judged =
+        |own: &&Candidate| turns_alike || !effect::find(own.effect).unwrap().card().needs_angle;
     let statuses = |found: &Diagnosis| {
-        let all = found.candidates.iter();
+        let all = found.candidates.iter().filter(is_judged);
         let mut all: Vec<_> = all.map(|own| (own.effect, own.status)).collect();
         all.sort_by_key(|own| own.0);
         all
@@ -124,7 +130,9 @@ fn an_answer_does_not_depend_on_the_units_of_a_machine() {
 #[test]
 #[ignore = "half an hour: all effects, 20 draws each"]
 fn no_answer_depends_on_the_units_of_a_machine() {
-    for effect in CATALOGUE {
-        holds(*effect, 20);
-    }
+    // Every effect is judged, whatever another one does.
+    let ids = CATALOGUE.iter().map(|effect| effect.card().id);
+    let fails = |id: &&str| panic::catch_unwind(|| holds(effect::find(id).unwrap(), 20)).is_err();
+    let failed: Vec<&str> = ids.filter(fails).collect();
+    assert!(failed.is_empty(), "{failed:?}");
 }

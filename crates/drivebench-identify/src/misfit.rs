@@ -282,7 +282,8 @@ pub fn widen_by_sampled_current(
     let settled = settled_below(&inertia.key) * value.abs();
     if wider > settled && std <= settled {
         let percent = 100.0 * sampling / value.abs().max(f64::MIN_POSITIVE);
-        let reason = format!("what the current is between its samples changes it by {percent:.1} %");
+        let reason =
+            format!("what the current is between its samples changes it by {percent:.1} %");
         inertia.set(Verdict::Searching, Reason::SampledTooSlowly, reason);
     }
 }

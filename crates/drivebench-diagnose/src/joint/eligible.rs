@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use crate::mechanical::{depends_on_drive, start_of};
+use drivebench_identify::balance::has_both_power_flows;
 use drivebench_identify::speed_from_angle;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{
@@ -42,7 +43,10 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     if effect.parameters().is_empty() {
         return Some("it has no parameter of its own");
     }
-    if is_friction_of_drive(effect, &*terms) && !has_both_power_flows(scenario) {
+    let times = scenario.sample_time_s.windows(2).zip(&scenario.speed_rad_s);
+    let energies_j =
+        times.map(|(times, speed)| scenario.input_at(times[0]) * speed * (times[1] - times[0]));
+    if is_friction_of_drive(effect, &*terms) && !has_both_power_flows(energies_j) {
         return Some(
             "power flows one way only in this run: friction in proportion to the load is then a common factor of inertia and \
              friction; record braking too",
@@ -74,23 +78,6 @@ fn is_friction_of_drive(effect: &dyn Effect, terms: &dyn Terms) -> bool {
     let at =
         Instant { current_a: 1.0, speed_rad_s: 1.0, torque_n_m_per_a: 1.0, ..Instant::default() };
     depends_on_drive(effect) && terms.friction_n_m(&at) != 0.0
-}
-
-/// Whether the motor both drives its load and is driven by it. With friction `m |T| sgn(w)` the balance is `T = X / (1 - m)`
-/// while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two alone does not determine m.
-fn has_both_power_flows(scenario: &Scenario) -> bool {
-    let (mut forward, mut backward) = (0.0, 0.0);
-    let samples = scenario.sample_time_s.windows(2).zip(&scenario.speed_rad_s);
-    for (times, speed) in samples {
-        let power = scenario.input_at(times[0]) * speed;
-        if power > 0.0 {
-            forward += power * (times[1] - times[0]);
-        } else if power < 0.0 {
-            backward -= power * (times[1] - times[0]);
-        }
-    }
-    // Less is noise of the torque about zero, and a reversal is no braking.
-    backward > 0.03 * (forward + backward)
 }
 
 /// Whether a run resolves a wave of so many periods per turn: every run that a voltage drives counts.

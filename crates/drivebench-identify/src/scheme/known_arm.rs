@@ -10,6 +10,7 @@
 //! the angle as the speed. The known amplitude `A` of the weight turns volts into torques. With `Kt = Ke`.
 
 use super::{Data, Identified, IdentifyError, Scheme};
+use crate::balance::has_both_power_flows;
 use crate::speed_from_angle::slopes;
 use crate::verdict::judge;
 use crate::weak_form::{self, held_means};
@@ -34,9 +35,6 @@ const OF_LOAD: TermKind = TermKind::FrictionOfLoad;
 
 /// Passes in which the torque that passes the gear follows from the back-EMF constant: each leaves a tenth of the error.
 const PASSES: usize = 12;
-/// Share of the power with which the load has to drive the motor, so that friction in proportion to the load is distinguished from
-/// the load itself: less is the noise about a reversal.
-const LEAST_BRAKING_SHARE: f64 = 0.03;
 /// Relative deviation of the weight in volts up to which it gives a scale.
 const LARGEST_SHARE: f64 = 0.2;
 /// Standard deviations from which on the friction that grows with the load is there.
@@ -62,7 +60,9 @@ fn identify(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     }
     let run = in_volts(scenario);
     let plain = balance(&[DRAG, WEIGHT], &run)?;
-    let brakes = braking_share(&run, back_emf(&plain)) > LEAST_BRAKING_SHARE;
+    let ke = back_emf(&plain);
+    let rows = run.events.iter().zip(&run.speed_rad_s);
+    let brakes = has_both_power_flows(rows.map(|(event, speed)| (event.1 - ke * speed) * speed));
     let with_gear = if brakes { balance(&[DRAG, WEIGHT, OF_LOAD], &run)? } else { Vec::new() };
     let ratio = of(&with_gear, &key(OF_LOAD, 0));
     let is_geared = ratio.is_some_and(|[ratio, std]| ratio > SIGNIFICANT_SIGMAS * std);
@@ -106,18 +106,6 @@ fn in_volts(scenario: &Scenario) -> Scenario {
     run.events = times.iter().copied().zip(volts).collect();
     run.find_scales();
     run
-}
-
-/// Share of the power that flows from the load to the motor.
-fn braking_share(run: &Scenario, back_emf: f64) -> f64 {
-    let rows = run.events.iter().zip(&run.speed_rad_s);
-    let powers = rows.map(|(event, speed)| (event.1 - back_emf * speed) * speed);
-    let [mut forward, mut backward] = [0.0; 2];
-    for power in powers.filter(|power| power.is_finite()) {
-        forward += power.max(0.0);
-        backward += (-power).max(0.0);
-    }
-    backward / (forward + backward)
 }
 
 /// Coefficients of the balance in volts; the torque that passes the gear follows from the back-EMF constant.
