@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::mechanics::LoadSection;
+use drivebench_identify::belief::Plate;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::units::rad_s_from_rpm;
 
@@ -182,6 +183,17 @@ const MODEL_KEYS: [MotorKey; 5] = [
 ];
 
 impl Nameplate {
+    /// The values that the balances need.
+    pub fn plate(&self) -> Plate {
+        Plate {
+            resistance_ohm: self.resistance_ohm,
+            inductance_h: self.inductance_h,
+            back_emf_v_s_per_rad: self.back_emf_v_s_per_rad,
+            inertia_kg_m2: self.inertia_kg_m2,
+            friction_n_m: self.load_torque_n_m.abs(),
+        }
+    }
+
     /// The baseline motor with the values of the nameplate.
     pub fn motor(&self) -> Motor {
         MotorSection::from(self).motor()

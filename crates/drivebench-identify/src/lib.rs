@@ -21,6 +21,7 @@
 
 pub mod added_inertia;
 pub mod balance;
+pub mod belief;
 mod cause;
 pub mod claims;
 pub mod drift;

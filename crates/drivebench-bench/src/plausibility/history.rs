@@ -3,86 +3,11 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
-use super::settings::SETTINGS;
+use drivebench_identify::belief::{Range, Row, SETTINGS, Scale};
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
-/// The units of the shares in the settings: rated values, or limits where nothing is rated.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Scale {
-    pub(super) volts: f64,
-    pub(super) amps: f64,
-    pub(super) rad_s: f64,
-}
-
-/// Lowest and highest value.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Range {
-    pub(super) low: f64,
-    pub(super) high: f64,
-}
-
-impl Range {
-    pub(super) const fn new(low: f64, high: f64) -> Self {
-        Self { low, high }
-    }
-
-    pub(super) const fn at(value: f64) -> Self {
-        Self::new(value, value)
-    }
-
-    pub(super) const EVERY: Self = Self::new(f64::NEG_INFINITY, f64::INFINITY);
-
-    pub(super) const fn around(value: f64, by: f64) -> Self {
-        Self::new(value - by, value + by)
-    }
-
-    pub(super) fn of(values: impl Iterator<Item = f64>) -> Option<Self> {
-        values.fold(None, |range: Option<Self>, value| {
-            Some(range.unwrap_or(Self::at(value)).with(value))
-        })
-    }
-
-    /// Of values that all have to be known.
-    fn of_known(values: impl Iterator<Item = Option<f64>>) -> Option<Self> {
-        Self::of(values.collect::<Option<Vec<f64>>>()?.into_iter())
-    }
-
-    pub(super) const fn with(self, value: f64) -> Self {
-        Self::new(self.low.min(value), self.high.max(value))
-    }
-
-    pub(super) const fn union(self, other: Self) -> Self {
-        self.with(other.low).with(other.high)
-    }
-
-    pub(super) const fn wider(self, by: f64) -> Self {
-        Self::new(self.low - by, self.high + by)
-    }
-
-    pub(super) const fn plus(self, other: Self) -> Self {
-        Self::new(self.low + other.low, self.high + other.high)
-    }
-
-    /// Every value of this one times every one of the factors.
-    pub(super) const fn times(self, factors: Self) -> Self {
-        let (a, b) = (self.low * factors.low, self.low * factors.high);
-        let (c, d) = (self.high * factors.low, self.high * factors.high);
-        Self::new(a.min(b).min(c).min(d), a.max(b).max(c).max(d))
-    }
-
-    /// How far the two lie apart; 0 where they meet.
-    pub(super) const fn gap(self, other: Self) -> f64 {
-        (self.low - other.high).max(other.low - self.high).max(0.0)
-    }
-
-    pub(super) const fn middle(self) -> f64 {
-        0.5 * (self.low + self.high)
-    }
-
-    pub(super) const fn width(self) -> f64 {
-        self.high - self.low
-    }
-}
+/// Commands and samples kept: more than any latency in cycles.
+const KEPT: usize = 64;
 
 /// One sample with the command in force.
 #[derive(Clone, Copy, Debug)]
@@ -97,32 +22,6 @@ pub(super) struct Observation {
     pub(super) voltage_v: Option<f64>,
     pub(super) limited: bool,
     pub(super) demand: Option<Demand>,
-}
-
-/// What one cycle adds to the balances.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Row {
-    pub(super) seconds: f64,
-    pub(super) current_a: f64,
-    pub(super) speed_rad_s: f64,
-    pub(super) current_change_a: f64,
-    pub(super) speed_change_rad_s: f64,
-    /// Angle turned, rad, where it is measured.
-    pub(super) turned_rad: Option<f64>,
-    /// Voltage that may have been in force, V; `None`: not known.
-    pub(super) volts: Option<Range>,
-    pub(super) exact: bool,
-    pub(super) limited: bool,
-}
-
-impl Row {
-    /// Current and speed of its second sample, A and rad/s.
-    pub(super) fn ends(&self) -> (f64, f64) {
-        (
-            self.current_a + 0.5 * self.current_change_a,
-            self.speed_rad_s + 0.5 * self.speed_change_rad_s,
-        )
-    }
 }
 
 /// The last commands and samples.
@@ -140,7 +39,7 @@ impl History {
     }
 
     pub(super) fn sent(&mut self, command: &Command) {
-        push_within(&mut self.commands, (command.seq, command.demand), SETTINGS.commands);
+        push_within(&mut self.commands, (command.seq, command.demand), KEPT);
     }
 
     pub(super) fn last(&self) -> Option<&Observation> {
@@ -198,7 +97,8 @@ impl History {
 
     fn volts(&self, last: &Observation, now: &Observation, scale: &Scale) -> Option<Range> {
         let measured = last.voltage_v.zip(now.voltage_v);
-        let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.steady_voltage * scale.volts;
+        // Such a loop follows a step within a part of a cycle.
+        let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.clear * scale.volts;
         let demand = last.demand?;
         if let Demand::Speed(_) = demand {
             // The drive's own loop sets the voltage, and the reported one may be that of another machine.
@@ -217,7 +117,7 @@ impl History {
             let set_point = Range::of(amps)?;
             let (from_a, to_a) = last.current_a.zip(now.current_a)?;
             let is_steady = steady(a, b)
-                && (to_a - from_a).abs() <= SETTINGS.steady_current * scale.amps
+                && (to_a - from_a).abs() <= SETTINGS.follows * scale.amps
                 && set_point.width() <= SETTINGS.steady_command * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
@@ -254,11 +154,11 @@ impl History {
         if row.is_none() {
             self.clear();
         }
-        push_within(&mut self.samples, now, SETTINGS.samples);
+        push_within(&mut self.samples, now, KEPT);
         let Some(row) = row else {
             return false;
         };
-        push_within(&mut self.rows, row, SETTINGS.samples);
+        push_within(&mut self.rows, row, KEPT);
         true
     }
 

@@ -1,64 +1,58 @@
 //! Plausibility without a balance: set-point against measured value, exchanged readings, angle against speed, and a speed that
 //! grows beyond its reference.
 
-use super::balance::negative;
-use super::history::{Range, Row};
-use super::settings::SETTINGS;
 use super::{Agreement, CHECK_ENCODER, CHECK_SET_POINT, Departure, Plausibility, Runaway};
 use crate::trip::{Trip, TripKind};
+use drivebench_identify::belief::{Range, Reading, Row, SETTINGS};
 use drivebench_model::sample::Demand;
 
 impl Plausibility {
     /// Two readings that fit only when exchanged.
     pub(crate) fn swapped(&self) -> Option<Trip> {
-        let nameplate = self.nameplate.filter(|_| !self.waived)?;
+        let plate = self.plate.filter(|_| !self.waived)?;
         let last = self.history.last()?;
         let (current, speed) = (last.current_a?, last.speed_rad_s?);
+        let swapped =
+            |figures, what: &str| Some(self.trip(TripKind::SignalsSwapped, figures, what));
         if let (Some((Demand::Voltage(_), set_point)), Some(volts)) =
             (self.history.set_points(self.cycles()), last.voltage_v)
             && !last.limited
         {
-            let about = set_point.times(Range::new(0.9, 1.1)).wider(0.02 * self.scale.volts);
-            let near = |value: f64| about.gap(Range::at(value)) <= 0.0;
-            let far = set_point.middle().abs() > 0.05 * self.scale.volts;
-            if near(current) && !near(volts) && far {
+            let wanted = set_point.middle();
+            let about = set_point.times(SETTINGS.known_scale).wider(self.rest_v());
+            let is_near = |value: f64| about.gap(Range::at(value)) <= 0.0;
+            let is_far = wanted.abs() > SETTINGS.clear * self.scale.volts;
+            if is_near(current) && !is_near(volts) && is_far {
                 let what = format!(
-                    "the current reads {current:.2} A and the voltage {volts:.2} V, at a set-point of {:.2} V: exchanged, both would fit; check the addresses of voltage and current in the drive's profile",
-                    set_point.middle()
+                    "the current reads {current:.2} A and the voltage {volts:.2} V, at a set-point of {wanted:.2} V: exchanged, both would fit; check the addresses of voltage and current in the drive's profile"
                 );
-                return Some(self.trip(
-                    TripKind::SignalsSwapped,
-                    (volts, set_point.middle()),
-                    &what,
-                ));
+                return swapped((volts, wanted), &what);
             }
         }
         if speed.abs() > self.bounds.current_a || current.abs() > self.bounds.speed_rad_s {
             return None;
         }
-        let floor = 0.03 * self.scale.volts;
-        let last_rows = self.history.rows().iter().rev().take(SETTINGS.most_rows);
+        let floor = 2.0 * SETTINGS.judged * self.scale.volts;
         let both_ways = |row: &Row| {
             let volts = row.volts?;
-            let misfit = |current_a: f64, speed_rad_s: f64| {
-                let needed = nameplate.resistance * current_a + nameplate.back_emf * speed_rad_s;
-                volts.gap(Range::at(needed))
-            };
+            let misfit = |a: f64, b: f64| volts.gap(Range::at(plate.steady_v(a, b)));
             let (a, b) = row.ends();
             Some((misfit(a, b), misfit(b, a)))
         };
-        let misfits: Vec<(f64, f64)> = last_rows.map_while(both_ways).collect();
+        let misfits: Vec<(f64, f64)> =
+            self.latest(SETTINGS.most_rows).map_while(both_ways).collect();
         let (as_read, exchanged) = *misfits.first()?;
         // Every row that does not fit as read has to fit when exchanged.
-        let all = misfits
-            .iter()
-            .filter(|(as_read, _)| *as_read > floor)
-            .all(|(as_read, exchanged)| exchanged < &(0.3 * as_read) && *exchanged < floor);
+        let explains =
+            |(as_read, exchanged): &(f64, f64)| *exchanged < floor.min(SETTINGS.left * as_read);
+        let all = misfits.iter().filter(|(as_read, _)| *as_read > floor).all(explains);
+        if as_read <= floor || !all {
+            return None;
+        }
         let what = format!(
             "current {current:.2} A and speed {speed:.2} rad/s miss the voltage by {as_read:.1} V; exchanged, {speed:.2} A and {current:.2} rad/s miss it by {exchanged:.1} V; check the addresses of current and speed in the drive's profile"
         );
-        (as_read > floor && all)
-            .then(|| self.trip(TripKind::SignalsSwapped, (current, speed), &what))
+        swapped((current, speed), &what)
     }
 
     /// A trip beyond a limit, with the contradiction to the reading that exceeds it.
@@ -66,9 +60,9 @@ impl Plausibility {
         if let Some(trip) = self.swapped() {
             return trip;
         }
-        let contradiction = self.nameplate.and_then(|nameplate| {
-            let window = self.window(&nameplate, 1)?;
-            self.misfits(&window).then(|| self.isolate(&nameplate, &window))?
+        let contradiction = self.plate.and_then(|plate| {
+            let window = self.window(&plate, 1)?;
+            window.misfits(self.drop_v()).then(|| self.isolate(&plate, &window))?
         });
         if let Some(contradiction) = contradiction {
             beyond.reason = format!("{}; or {}", beyond.reason, contradiction.reason);
@@ -102,19 +96,20 @@ impl Plausibility {
                 let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
                 if last.limited || current.abs() > self.bounds.limiting_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
-                    let emf_v = self.nameplate.map(|nameplate| nameplate.back_emf * speed);
-                    let emf = emf_v.map(|emf_v| Range::at(emf_v).times(SETTINGS.any_factor));
-                    region = emf.map_or(Range::EVERY, |emf| region.union(emf.wider(self.drop_v())));
+                    let emf = self.plate.map(|plate| Range::at(plate.steady_v(0.0, speed)));
+                    let plausible =
+                        |emf: Range| emf.times(SETTINGS.any_factor).wider(self.drop_v());
+                    region = emf.map_or(Range::EVERY, |emf| region.union(plausible(emf)));
                 }
                 (last.voltage_v, self.scale.volts, confirm_s, "V")
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
                 region = region.wider(SETTINGS.follows * amps);
-                let emf_v = self.nameplate.map_or(0.0, |nameplate| nameplate.back_emf * speed);
+                let emf_v = self.plate.map_or(0.0, |plate| plate.steady_v(0.0, speed));
                 let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
                 if !self.proven.current_sign {
-                    region = region.union(negative(region));
+                    region = region.union(region.negative());
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
                 let confirm_s = SETTINGS.current_follows_s.max(latency_s);
@@ -170,8 +165,7 @@ impl Plausibility {
             // The nearest of the set-points that may be in force; while the voltage stays, also of the earlier ones.
             let nearest = value.clamp(set_point.low, set_point.high);
             let agrees = self.symptoms.agreement.is_none_or(|last| {
-                let moves =
-                    (value - last.measured_v).abs() > SETTINGS.rest_voltage * self.scale.volts;
+                let moves = (value - last.measured_v).abs() > self.rest_v();
                 moves || (nearest - value).abs() <= (last.set_point_v - last.measured_v).abs()
             });
             if agrees {
@@ -181,7 +175,7 @@ impl Plausibility {
                     stuck_since_s: None,
                 });
             }
-            let is_steady = set_point.high - set_point.low < self.drop_v();
+            let is_steady = set_point.width() < self.drop_v();
             let is_clear =
                 SETTINGS.known_scale.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
             self.proven.voltage_scale |= is_steady && is_clear;
@@ -190,8 +184,8 @@ impl Plausibility {
         let is_limited = last.limited || last.current_a.is_some_and(beyond);
         let agreement = self.symptoms.agreement.as_mut()?;
         let moved = set_point.gap(Range::at(agreement.set_point_v));
-        let stays = moved > SETTINGS.stuck_voltage * self.scale.volts
-            && (value - agreement.measured_v).abs() < SETTINGS.stuck_part * moved;
+        let stays = moved > SETTINGS.clear * self.scale.volts
+            && (value - agreement.measured_v).abs() < SETTINGS.left * moved;
         if is_limited || !stays {
             agreement.stuck_since_s = None;
             return None;
@@ -206,13 +200,14 @@ impl Plausibility {
         idle: bool,
         figures: &str,
     ) -> Trip {
-        if let (Demand::Voltage(_), Some(nameplate)) = (demand, &self.nameplate)
+        if let (Demand::Voltage(_), Some(plate)) = (demand, &self.plate)
             && let Some(row) = self.history.rows().back().filter(|_| !idle)
         {
-            let response = nameplate.current_v(row) + nameplate.back_emf * row.speed_rad_s;
+            let response = plate.current_v(row) + plate.steady_v(0.0, row.speed_rad_s);
             let distance = |volts: f64| (response - volts).abs();
             if 2.0 * distance(wanted) < distance(value)
-                && distance(wanted) < self.drop_v() + 0.3 * wanted.abs()
+                && distance(wanted)
+                    < self.drop_v() + (1.0 - SETTINGS.flux_factor.low) * wanted.abs()
             {
                 let what = format!(
                     "{figures}; current and speed are those of {response:.1} V, so the measured voltage is wrong; check its address, scale and sign in the drive's profile"
@@ -229,15 +224,14 @@ impl Plausibility {
         // An angle that is read less often than once a cycle stays for some cycles; the confirmations come on top.
         let times = if self.is_exact() { 1 } else { 2 };
         let rows = times * self.cycles() - SETTINGS.confirming_windows;
-        let all = self.history.rows();
-        if all.len() < rows {
+        if self.history.rows().len() < rows {
             return None;
         }
         let (mut seconds, mut turned, mut speeds) = (0.0, 0.0, None);
         let (mut by_speed, mut widest) = (0.0, 0.0_f64);
         // A counter that was preset is no motion: the row with the largest misfit is left out.
         let mut worst = (0.0, 0.0, 0.0);
-        for row in all.iter().skip(all.len() - rows) {
+        for row in self.latest(rows) {
             let row_rad = row.turned_rad?;
             let misfit = (row_rad - row.speed_rad_s * row.seconds).abs();
             if misfit >= worst.0 {
@@ -268,7 +262,7 @@ impl Plausibility {
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s is plausible; {CHECK_ENCODER}",
             plausible.low, plausible.high
         );
-        let kind = if self.speed.run() >= SETTINGS.frozen_readings {
+        let kind = if self.speed.run() >= SETTINGS.repeated {
             TripKind::EncoderFrozen
         } else {
             TripKind::AngleImplausible
@@ -285,7 +279,7 @@ impl Plausibility {
         let beyond = direction * (speed - reference);
         let grows = direction * row.speed_change_rad_s > 0.0;
         let braked = direction * row.current_a < 0.0;
-        if !(grows && braked && beyond > SETTINGS.runaway_beyond * self.bounds.speed_rad_s) {
+        if !(grows && braked && beyond > SETTINGS.clear * self.bounds.speed_rad_s) {
             self.symptoms.runaway = None;
             return None;
         }
@@ -295,16 +289,16 @@ impl Plausibility {
             .get_or_insert(Runaway { from_rad_s: speed - row.speed_change_rad_s, cycles: 0 });
         runaway.cycles += 1;
         let growth = direction * (speed - runaway.from_rad_s);
-        let long = runaway.cycles >= SETTINGS.runaway_cycles;
-        if !(long && growth > SETTINGS.runaway_growth * self.bounds.speed_rad_s) {
+        let long = runaway.cycles >= SETTINGS.repeated;
+        if !(long && growth > SETTINGS.rest * self.bounds.speed_rad_s) {
             return None;
         }
         // With a reversed encoder the shaft runs away as soon as it moves.
-        if let Some(nameplate) = self.nameplate
-            && let Some(window) = self.window(&nameplate, SETTINGS.stamped_rows)
-            && window.misfit(-1.0) < window.misfit(1.0)
+        if let Some(plate) = self.plate
+            && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
+            && window.is_mirrored(Reading::Speed, 0.0, 0.0)
         {
-            return Some(self.misread(TripKind::EncoderReversed, &nameplate, &window));
+            return Some(self.misread(TripKind::EncoderReversed, &plate, &window));
         }
         let what = format!(
             "the speed grows to {speed:.1} rad/s against the torque, the reference is {reference:.1} rad/s"

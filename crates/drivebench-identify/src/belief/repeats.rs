@@ -3,11 +3,11 @@
 //! The share `p` of repeats is taken at rest: it follows from noise, resolution and the rate at which the drive reads the
 //! sensor. A run of `n` repeats has the probability `p^n`.
 
-use super::settings::SETTINGS;
+use super::SETTINGS;
 
 /// The readings of one sensor.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Repeats {
+pub struct Repeats {
     last: Option<u64>,
     /// Length of the present run.
     run: usize,
@@ -24,11 +24,11 @@ pub(super) struct Repeats {
 
 impl Repeats {
     /// A new start keeps the share of repeats at rest.
-    pub(super) const fn begin(&mut self) {
+    pub const fn begin(&mut self) {
         (self.run, self.moving_run, self.resting_run) = (0, 0, 0);
     }
 
-    pub(super) fn push(&mut self, time_s: f64, value: f64, at_rest: bool) {
+    pub fn push(&mut self, time_s: f64, value: f64, at_rest: bool) {
         let bits = value.to_bits();
         let Some(before) = self.last.replace(bits) else {
             self.since_s = time_s;
@@ -47,12 +47,12 @@ impl Repeats {
         }
     }
 
-    pub(super) const fn run(&self) -> usize {
+    pub const fn run(&self) -> usize {
         self.run
     }
 
     /// Start of the present run, s.
-    pub(super) const fn since_s(&self) -> f64 {
+    pub const fn since_s(&self) -> f64 {
         self.since_s
     }
 
@@ -63,20 +63,20 @@ impl Repeats {
     }
 
     /// Least length of a run that is not by chance; `None`: no noise at rest.
-    pub(super) fn needed(&self) -> Option<f64> {
+    pub fn needed(&self) -> Option<f64> {
         let by_chance = SETTINGS.repeat_chance.ln() / self.share()?.ln();
         let fewest = SETTINGS.fewest_repeats.max(3 * self.rest_longest);
         Some(by_chance.max(fewest as f64))
     }
 
     /// A longer run than chance gives a sensor that was noisy at rest.
-    pub(super) fn is_stuck(&self) -> bool {
+    pub fn is_stuck(&self) -> bool {
         let enough = self.needed().is_some_and(|n| self.run as f64 >= n);
         enough && self.moving_run >= SETTINGS.fewest_repeats
     }
 
     /// As `is_stuck`, of a sensor with noise of its own.
-    pub(super) fn is_silent(&self) -> bool {
+    pub fn is_silent(&self) -> bool {
         self.is_stuck() && self.share().is_some_and(|share| share <= SETTINGS.seldom_repeats)
     }
 }
