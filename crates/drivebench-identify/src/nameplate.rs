@@ -5,26 +5,16 @@
 //!                                                                   temperature, load, another motor
 //! ```
 
-use std::f64::consts::PI;
+use std::f64::consts::TAU;
 
 use serde::Serialize;
 
+use super::belief::{KEYS, SETTINGS, Scaled, nearest};
 use super::temperature::COPPER_PER_K;
 use drivebench_model::findings;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
-
-/// Relative tolerance of catalogues, load and temperature of the winding included.
-const CATALOGUE_TOLERANCE: f64 = 0.3;
-
-/// The parameters of a nameplate, in the order of its rows.
-pub(super) const KEYS: [MotorKey; 5] = [
-    MotorKey::Resistance,
-    MotorKey::Inductance,
-    MotorKey::BackEmf,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
+use drivebench_model::units::rpm_from_rad_s;
 
 /// Whether one value fits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -185,7 +175,7 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
         KEYS.into_iter().filter_map(|key| row(key, nameplate.get(key), found)).collect();
     let fits = rows.iter().all(|row| row.fits != Fits::No);
     let causes = if fits { Vec::new() } else { causes(&rows) };
-    Comparison { fits, tolerance: CATALOGUE_TOLERANCE, rows, causes, doubt: None }
+    Comparison { fits, tolerance: SETTINGS.catalogue, rows, causes, doubt: None }
 }
 
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
@@ -201,7 +191,7 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let fits = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let margin = 2.0 * std.unwrap_or(0.0);
-            let most = 1.0 + CATALOGUE_TOLERANCE;
+            let most = 1.0 + SETTINGS.catalogue;
             let differs = value + margin < plate / most || value - margin > plate * most;
             if differs { Fits::No } else { Fits::Yes }
         }
@@ -211,25 +201,13 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     Some(Row { key: key.key(), unit, nameplate, found: value, std, ratio, fits, reason })
 }
 
-/// Cause, exponents of a wrong scale factor of one sensor in R, L, Ke, J, Mc, and the index of the key whose ratio gives the factor.
-/// The torque constant is that of the back-EMF, so that a wrong speed is also an error of the torques.
-type Pattern = (fn(f64) -> NameplateCause, [i32; 5], usize);
-
-/// A speed measured as `c` times the true one: Ke/c, J/c^2, Mc/c. A current as `c` times: R/c, L/c, J c, Mc c.
-/// A voltage as `c` times: R c, L c, Ke c, and with it J c, Mc c.
-const PATTERNS: [Pattern; 3] = [
-    (speed_cause, [0, 0, -1, -2, -1], 2),
-    (|factor| NameplateCause::CurrentScale { factor }, [-1, -1, 0, 1, 1], 0),
-    (|factor| NameplateCause::VoltageScale { factor }, [1, 1, 1, 1, 1], 2),
-];
-
 fn speed_cause(factor: f64) -> NameplateCause {
-    let per_minute = 60.0 / (2.0 * PI);
+    let per_minute = rpm_from_rad_s(1.0);
     let known = [
         (per_minute, NameplateCause::RpmForRadPerS),
         (1.0 / per_minute, NameplateCause::RadPerSForRpm),
-        (2.0 * PI, NameplateCause::RadPerSForTurnsPerS),
-        (1.0 / (2.0 * PI), NameplateCause::TurnsPerSForRadPerS),
+        (TAU, NameplateCause::RadPerSForTurnsPerS),
+        (1.0 / TAU, NameplateCause::TurnsPerSForRadPerS),
         (2.0, NameplateCause::PulsesHalf),
         (4.0, NameplateCause::LinesForEdges),
         (0.5, NameplateCause::PulsesTwice),
@@ -237,8 +215,8 @@ fn speed_cause(factor: f64) -> NameplateCause {
         (10.0, NameplateCause::SpeedTenTimes),
         (0.1, NameplateCause::SpeedTenth),
     ];
-    let is_known = |known: &&(f64, NameplateCause)| (factor / known.0).ln().abs() < 0.15;
-    known.iter().find(is_known).map_or(NameplateCause::SpeedScale { factor }, |known| known.1)
+    nearest(factor, &known, SETTINGS.unit)
+        .map_or(NameplateCause::SpeedScale { factor }, |(_, cause)| cause)
 }
 
 fn causes(rows: &[Row]) -> Vec<NameplateCause> {
@@ -246,7 +224,7 @@ fn causes(rows: &[Row]) -> Vec<NameplateCause> {
     let misfits = || rows.iter().filter(|row| row.fits == Fits::No);
     let differs = |key: MotorKey| misfits().any(|row| row.key == key.key());
     let only = |key: MotorKey| misfits().count() == 1 && differs(key);
-    let causes: Vec<_> = PATTERNS.iter().filter_map(|own| explained(own, &ratio)).collect();
+    let causes: Vec<_> = Scaled::ALL.into_iter().filter_map(|own| explained(own, ratio)).collect();
     if !causes.is_empty() {
         return causes;
     }
@@ -273,32 +251,24 @@ fn causes(rows: &[Row]) -> Vec<NameplateCause> {
     }]
 }
 
-/// The cause of a pattern, if one factor explains all known ratios within the tolerance of catalogues.
+/// The cause, if one factor of a sensor explains all known ratios within the tolerance of catalogues.
 fn explained(
-    (cause, powers, reference): &Pattern,
-    ratio: &impl Fn(MotorKey) -> Option<f64>,
+    scaled: Scaled,
+    ratio: impl Fn(MotorKey) -> Option<f64> + Copy,
 ) -> Option<NameplateCause> {
-    let tolerance = CATALOGUE_TOLERANCE.ln_1p();
-    let factor = ratio(KEYS[*reference])?.powf(1.0 / f64::from(powers[*reference]));
-    // A factor within the tolerance is not a cause.
-    if factor.ln().abs() < tolerance {
+    let tolerance = SETTINGS.catalogue.ln_1p();
+    let factor = scaled.factor(ratio)?;
+    // Friction and load are the least certain values of a nameplate.
+    let within = |key| if key == MotorKey::LoadTorque { 2.0 * tolerance } else { tolerance };
+    // A factor within the tolerance is not a cause, and one parameter alone not a pattern.
+    if factor.ln().abs() < tolerance || scaled.explains(factor, ratio, within)? < 2 {
         return None;
     }
-    let mut explained = 0;
-    for (key, power) in KEYS.into_iter().zip(*powers) {
-        let Some(found) = ratio(key) else {
-            continue;
-        };
-        // Friction and load are the least certain values of a nameplate.
-        let is_load = key == MotorKey::LoadTorque;
-        let share = if is_load { 2.0 } else { 1.0 };
-        if (found.ln() - f64::from(power) * factor.ln()).abs() > share * tolerance {
-            return None;
-        }
-        explained += usize::from(power != 0);
-    }
-    // The reference alone is not a pattern.
-    (explained >= 2).then(|| cause(factor))
+    Some(match scaled {
+        Scaled::Speed => speed_cause(factor),
+        Scaled::Current => NameplateCause::CurrentScale { factor },
+        Scaled::Voltage => NameplateCause::VoltageScale { factor },
+    })
 }
 
 #[cfg(test)]

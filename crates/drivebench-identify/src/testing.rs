@@ -26,7 +26,7 @@ pub(super) const NOISE: NoiseFloor = NoiseFloor {
 pub(super) type Truth = [f64; 5];
 
 /// The five, in that order.
-pub(super) use super::nameplate::KEYS;
+pub(super) use super::belief::KEYS;
 
 /// `Motor::zk_22fc`.
 pub(super) const PAPER: Truth = [1.1, 0.0099, 0.3538, 0.0045, 0.455];

@@ -14,10 +14,8 @@ use std::ops::Range;
 use super::pulse::{Leg, Point, Size};
 use crate::limits::Nameplate;
 use drivebench_control::Actuator;
+use drivebench_identify::belief::{SETTINGS, nearest};
 use drivebench_model::units::rpm_from_rad_s;
-
-/// Standard deviations at rest below which nothing has moved, flowed or stepped.
-const NOISE_FACTOR: f64 = 6.0;
 
 /// What is known of the sensors and the motor.
 #[derive(Clone, Copy, Debug)]
@@ -37,11 +35,12 @@ pub(super) struct Known<'a> {
 
 impl Known<'_> {
     pub(super) fn moved_rad_s(&self) -> f64 {
-        (NOISE_FACTOR * self.speed.1).max(0.1 * self.size.goal_rad_s)
+        (SETTINGS.clear_std * self.speed.1).max(0.1 * self.size.goal_rad_s)
     }
 
     pub(super) fn flowed_a(&self) -> f64 {
-        (NOISE_FACTOR * self.current.1).max(0.02 * self.nameplate.rated_current_a)
+        (SETTINGS.clear_std * self.current.1)
+            .max(SETTINGS.idle_current * self.nameplate.rated_current_a)
     }
 }
 
@@ -178,11 +177,10 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
             "turn the shaft by hand and watch the speed; check the encoder's cable and supply",
         ));
     }
-    let torque = known.nameplate.back_emf_v_s_per_rad * amps.abs();
-    let friction = known.nameplate.load_torque_n_m;
+    let plate = known.size.plate;
+    let (torque, friction) = (plate.torque_n_m(amps), plate.friction_n_m);
     let with = format!("{torque:.3} N.m by the nameplate, whose friction is {friction:.3} N.m");
-    // Enough to turn a free shaft.
-    Some(if torque > 1.7 * friction {
+    Some(if amps.abs() > plate.turning_a() {
         (
             format!(
                 "the speed stays at {speed:+.2} rad/s although the current gives {with}: the shaft is held (locked, braked, or loaded far beyond the nameplate), or the encoder is dead"
@@ -216,12 +214,18 @@ struct Ratio {
 impl Ratio {
     /// The resistance; the voltage drop of brushes and bridge counts as winding.
     const fn resistance(nameplate: f64, interval: (f64, f64, f64)) -> Self {
-        Self { name: "resistance", unit: "ohm", nameplate, plausible: (0.5, 3.0), interval }
+        Self {
+            name: "resistance",
+            unit: "ohm",
+            nameplate,
+            plausible: (SETTINGS.any_factor.low, 3.0),
+            interval,
+        }
     }
 
     /// The flux of a specimen, cold or warm.
     const fn back_emf(nameplate: f64, interval: (f64, f64, f64)) -> Self {
-        let plausible = (0.7, 1.4);
+        let plausible = (SETTINGS.flux_factor.low, SETTINGS.flux_factor.high);
         Self { name: "back-EMF constant", unit: "V.s/rad", nameplate, plausible, interval }
     }
 
@@ -274,13 +278,8 @@ impl Ratio {
                 (1e3, "mV on the nameplate"),
             ],
         };
-        let near = mistakes
-            .iter()
-            .map(|(factor, text)| ((ratio / factor).ln().abs(), *factor, *text))
-            .filter(|(distance, ..)| *distance < f64::ln(1.8))
-            .min_by(|a, b| a.0.total_cmp(&b.0));
-        match near {
-            Some((_, factor, text)) => {
+        match nearest(ratio, mistakes, SETTINGS.any_factor.high.ln()) {
+            Some((factor, text)) => {
                 format!("a mistake of units by the factor {factor:.3} would explain it: {text}")
             }
             None => {
@@ -359,11 +358,10 @@ fn interval(value: f64, doubt: f64, by: f64, by_doubt: f64) -> (f64, f64, f64) {
 fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
     let nameplate = known.nameplate;
     let (r, ke) = (nameplate.resistance_ohm, nameplate.back_emf_v_s_per_rad);
-    // Three standard deviations of the mean.
-    let noise_a = 3.0 * known.current.1 / (AVERAGED as f64).sqrt();
-    let noise_rad_s = 3.0 * known.speed.1 / (AVERAGED as f64).sqrt();
+    let [noise_a, noise_rad_s] = [known.current.1, known.speed.1]
+        .map(|std| SETTINGS.sigmas * std / (AVERAGED as f64).sqrt());
     // Uncertainty of a voltage for constant drops, and of a difference of two voltages, as shares of the rated voltage.
-    let (drop_share, difference_share) = (0.015, 0.003);
+    let (drop_share, difference_share) = (SETTINGS.judged, 0.003);
     let (rest, motion) = rest_and_motion(known, leg);
     let mut ratios = Vec::new();
     if let Some(rest) = rest {
@@ -381,8 +379,8 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
         let doubt_v = from.step_v
             + motion.step_v
             + share * nameplate.rated_voltage_v
-            // The resistance of the nameplate may be off by 30 %.
-            + r * (0.3 * change_a.abs() + noise_a);
+            // The resistance of the nameplate may be off, too.
+            + r * (SETTINGS.catalogue * change_a.abs() + noise_a);
         ratios.push(Ratio::back_emf(ke, interval(emf_v, doubt_v, by_v, ke * noise_rad_s)));
     }
     ratios
@@ -415,7 +413,7 @@ fn cannot_be_evaluated(known: &Known<'_>, leg: &Leg) -> bool {
     let lost = |first: usize| leg.points[first..].iter().all(|point| point.is_after_pause);
     let is_lost = moves_at(known, leg).is_some_and(lost);
     // Without a pause a step is one cycle of the rise.
-    let most_v = 2.5 * known.size.step() + NOISE_FACTOR * known.noise_v;
+    let most_v = 2.5 * known.size.step() + SETTINGS.clear_std * known.noise_v;
     let steps = |mean: &Mean| mean.step_v > most_v;
     let is_voltage = known.size.kind == Actuator::Voltage;
     let is_driven = is_voltage && rest.iter().chain(&motion).any(steps);

@@ -3,6 +3,7 @@
 use super::commanded;
 use crate::limits::{Limits, Nameplate};
 use drivebench_control::Actuator;
+use drivebench_identify::belief::Plate;
 use drivebench_model::sample::{Channel, Demand, Sample};
 
 /// Samples further apart than so many cycles have a pause between them: more than one lost reply.
@@ -36,9 +37,7 @@ pub(super) struct Size {
     /// What holds a load at rest: in the unit of the quantity, and as current.
     pub(super) hold: f64,
     pub(super) hold_a: f64,
-    /// Of the nameplate.
-    resistance_ohm: f64,
-    back_emf_v_s_per_rad: f64,
+    pub(super) plate: Plate,
 }
 
 impl Size {
@@ -51,7 +50,8 @@ impl Size {
         period_s: f64,
     ) -> Self {
         let kind = commanded(zero);
-        let (r, ke) = (nameplate.resistance_ohm, nameplate.back_emf_v_s_per_rad);
+        let plate = nameplate.plate();
+        let ke = plate.back_emf_v_s_per_rad;
         // Current beyond the nameplate's friction.
         let share_a = 0.3 * nameplate.rated_current_a;
         let (hold, hold_a) = hold(kind, nameplate, limits);
@@ -66,7 +66,7 @@ impl Size {
             .min(0.1 * nameplate.rated_speed_rad_s)
             .min(0.5 * limits.speed_rad_s);
         let top = match kind {
-            Actuator::Voltage => (2.0 * (r * goal_a + ke * goal_rad_s))
+            Actuator::Voltage => (2.0 * plate.steady_v(goal_a, goal_rad_s))
                 .min(0.25 * nameplate.rated_voltage_v)
                 .min(0.5 * limits.voltage_v),
             Actuator::Current => goal_a,
@@ -88,15 +88,13 @@ impl Size {
             goal_rad: limits.travel_rad.map(|travel| 0.5 * travel),
             hold,
             hold_a,
-            resistance_ohm: r,
-            back_emf_v_s_per_rad: ke,
+            plate,
         }
     }
 
-    /// Speed by the voltage equation, `(u - R i)/Ke`, rad/s.
+    /// Speed by the voltage equation, rad/s.
     pub(super) fn by_voltage_rad_s(&self, point: &Point) -> Option<f64> {
-        let emf_v = point.voltage_v? - self.resistance_ohm * point.current_a?;
-        Some(emf_v / self.back_emf_v_s_per_rad)
+        Some(self.plate.steady_rad_s(point.voltage_v?, point.current_a?))
     }
 
     fn is_at_goal(&self, point: &Point) -> bool {

@@ -7,13 +7,12 @@ use super::{CheckError, Checker, NoiseFloor, RATE_CHECK, Reached, floor};
 use crate::limits::Limits;
 use crate::timing::quantile;
 use drivebench_control::Actuator;
+use drivebench_identify::belief::SETTINGS;
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 use drivebench_model::text::number::with_std;
 
 /// Exchanges of the link probe, all with the output disabled.
 const PROBES: u64 = 50;
-/// Share of the speed limit that counts as rest, with the output off and at zero reference.
-const REST_SPEED_SHARE: f64 = 0.01;
 
 const STANDSTILL: &str = "standstill";
 const RUNNING_HELP: &str =
@@ -29,10 +28,24 @@ pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the 
 /// The watched signals, with the bench's limit of each and its share that mean and standard deviation may have at rest.
 fn watched(limits: &Limits) -> [(Channel, f64, f64); 3] {
     [
-        (Channel::Speed, limits.speed_rad_s, REST_SPEED_SHARE),
-        (Channel::Current, limits.current_a, 0.05),
-        (Channel::Voltage, limits.voltage_v, 0.05),
+        (Channel::Speed, limits.speed_rad_s, SETTINGS.rest),
+        (Channel::Current, limits.current_a, SETTINGS.clear),
+        (Channel::Voltage, limits.voltage_v, SETTINGS.clear),
     ]
+}
+
+/// The first watched signal with a value beyond so many times its share.
+fn beyond(
+    limits: &Limits,
+    factor: f64,
+    what: &str,
+    value: impl Fn(Channel) -> Option<f64>,
+) -> Option<String> {
+    watched(limits).into_iter().find_map(|(channel, limit, share)| {
+        let most = factor * share * limit;
+        let value = value(channel).filter(|value| value.abs() > most)?;
+        Some(figure(channel, what, value, most))
+    })
 }
 
 fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
@@ -42,24 +55,15 @@ fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
 
 /// The signal of one sample that exceeds rest; `settled`: by the bound of a mean, else by three times that.
 fn beyond_rest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
-    let factor = if settled { 1.0 } else { 3.0 };
-    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
-        let (value, most) = (sample.get(channel)?, factor * share * limit);
-        (value.abs() > most).then(|| figure(channel, "", value, most))
-    };
-    watched(limits).into_iter().find_map(beyond)
+    let factor = if settled { 1.0 } else { SETTINGS.sigmas };
+    beyond(limits, factor, "", |channel| sample.get(channel))
 }
 
 /// The signal whose mean or spread exceeds rest.
 fn means_beyond_rest(noise: &[NoiseFloor], limits: &Limits) -> Option<String> {
-    let beyond = |(channel, limit, share): (Channel, f64, f64)| {
-        let floor = noise.iter().find(|floor| floor.channel == channel)?;
-        let most = share * limit;
-        let mut figures = [("mean ", floor.mean), ("spread ", floor.std)].into_iter();
-        let (what, value) = figures.find(|(_, value)| value.abs() > most)?;
-        Some(figure(channel, what, value, most))
-    };
-    watched(limits).into_iter().find_map(beyond)
+    let of = |channel| noise.iter().find(|floor| floor.channel == channel);
+    beyond(limits, 1.0, "mean ", |channel| Some(of(channel)?.mean))
+        .or_else(|| beyond(limits, 1.0, "spread ", |channel| Some(of(channel)?.std)))
 }
 
 /// Bounds of the signals while the drive runs at zero.
@@ -82,25 +86,25 @@ impl Still {
         let bounds = watched(limits).map(|(channel, limit, _)| {
             let (mean, std) = floor(noise, channel);
             let most = match (channel, kind) {
-                (Channel::Speed, _) => REST_SPEED_SHARE * limit,
+                (Channel::Speed, _) => SETTINGS.rest * limit,
                 // A drive that controls the speed to zero needs any voltage and current for it.
                 (_, Actuator::Speed) => limit,
                 (Channel::Current, _) => 0.15 * limit + hold.1.abs(),
                 (_, Actuator::Voltage) => 0.15 * limit + hold.0.abs(),
                 (_, Actuator::Current) => limit,
             };
-            (channel, mean, most.max(8.0 * std))
+            (channel, mean, most.max(SETTINGS.clear_std * std))
         });
         Self { bounds, angle_rad: None }
     }
 
     /// The signal that exceeds its bound, or an angle more than 3 rad from the first.
     pub(super) fn moved(&mut self, sample: &Sample) -> Option<String> {
-        let beyond = |(channel, mean, most): (Channel, f64, f64)| {
+        let moved = |(channel, mean, most): (Channel, f64, f64)| {
             let value = sample.get(channel).filter(|value| (value - mean).abs() > most)?;
             Some(figure(channel, "", value, most))
         };
-        if let Some(text) = self.bounds.into_iter().find_map(beyond) {
+        if let Some(text) = self.bounds.into_iter().find_map(moved) {
             return Some(text);
         }
         let angle_rad = sample.get(Channel::Angle)?;

@@ -19,10 +19,12 @@ mod balance;
 mod factor;
 mod range;
 mod repeats;
+mod scale;
 mod settings;
 
 pub use balance::{Plate, Reading, Row, Scale, Window};
 pub use factor::Factor;
 pub use range::Range;
 pub use repeats::Repeats;
+pub use scale::{DEGREES, KEYS, Scaled, nearest, speed_units};
 pub use settings::{SETTINGS, Settings};

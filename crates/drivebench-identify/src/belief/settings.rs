@@ -19,6 +19,10 @@ pub struct Settings {
     pub winding_factor: Range,
     pub flux_factor: Range,
     pub known_scale: Range,
+    /// Relative tolerance of catalogues, load and temperature of the winding included.
+    pub catalogue: f64,
+    /// Logarithm of a ratio of back-EMF constants by which it still shows a unit: temperature moves it by some per cent.
+    pub unit: f64,
     /// Constant voltage drop, share: brushes, bridge, offset.
     pub drop: f64,
     /// A current that counts as none, share: above the offset of a sensor, below the friction of any motor.
@@ -55,6 +59,8 @@ pub struct Settings {
     pub memory_rows: f64,
     /// Half-width of the interval of an estimate, in standard deviations.
     pub sigmas: f64,
+    /// Standard deviations at rest beyond which something moves or flows: the largest of many samples of noise lies below.
+    pub clear_std: f64,
     /// Noise of a row's voltage and torque, shares.
     pub voltage_noise: f64,
     pub torque_noise: f64,
@@ -82,6 +88,8 @@ pub const SETTINGS: Settings = Settings {
     winding_factor: Range::new(0.6, 1.5),
     flux_factor: Range::new(0.7, 1.4),
     known_scale: Range::new(0.85, 1.15),
+    catalogue: 0.3,
+    unit: 0.15,
     drop: 0.04,
     idle_current: 0.02,
     rest: 0.01,
@@ -102,6 +110,7 @@ pub const SETTINGS: Settings = Settings {
     memory_s: 0.25,
     memory_rows: 10.0,
     sigmas: 3.0,
+    clear_std: 6.0,
     voltage_noise: 0.005,
     torque_noise: 0.05,
     flux_std: 0.5,

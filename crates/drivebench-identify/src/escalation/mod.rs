@@ -30,6 +30,7 @@ pub use stage::{Stage, StageKind};
 
 use serde::Serialize;
 
+use crate::belief;
 use drivebench_model::plant::{MotorKey, Scenario, ScenarioError};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use observation::Turned;
@@ -43,8 +44,6 @@ struct Settings {
     safe_voltage: f64,
     /// Growth of the voltage from ramp to ramp.
     growth: f64,
-    /// Current that counts as zero, in rated currents, if it is also within the noise.
-    no_current: f64,
     /// Largest current of a step, as a share of the current limit.
     current_share: f64,
     /// Largest speed of a step, as a share of the speed limit.
@@ -67,7 +66,6 @@ const SETTINGS: Settings = Settings {
     feel_current: 0.3,
     safe_voltage: 0.25,
     growth: 3.0,
-    no_current: 0.01,
     current_share: 0.8,
     speed_share: 0.5,
     sweep_share: 0.35,
@@ -266,12 +264,13 @@ impl Escalation {
         let line = format!("at rest, {}", observation.text());
         // Beyond the safe voltage only on a current that is not the largest of some hundred samples of noise.
         let flows = observation.peak_current_a.abs()
-            > (SETTINGS.no_current * rated_a).max(6.0 * observation.noise_a);
+            > (belief::SETTINGS.idle_current * rated_a)
+                .max(belief::SETTINGS.clear_std * observation.noise_a);
         if shows && flows || (self.last_v >= safe_v * 0.999 && self.rest.is_some() && flows) {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
-            return ended(ending::no_current(observation, SETTINGS.no_current * rated_a));
+            return ended(ending::no_current(observation, belief::SETTINGS.idle_current * rated_a));
         }
         // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
         let (least_v, most_v) = (1.2 * self.last_v, SETTINGS.growth * self.last_v);
@@ -294,7 +293,7 @@ impl Escalation {
             return (self.turn(), format!("it breaks away, {}", observation.text()));
         }
         let bounds = &self.bounds;
-        let reached_a = 0.85 * bounds.rated_current_a;
+        let reached_a = belief::SETTINGS.limiting_current * bounds.rated_current_a;
         if let Some(ending) = ending::no_motion(observation, before, reached_a, bounds) {
             return ended(ending);
         }

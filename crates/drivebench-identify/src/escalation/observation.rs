@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::{Bounds, SETTINGS, relative};
+use crate::belief;
 use crate::noise::NoiseFloor;
 use crate::{output_error, start};
 use drivebench_model::numerics::statistics::{finite, largest, mean, mean_step, variance};
@@ -11,14 +12,8 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Run, Verdict};
 use drivebench_model::signal::{held, pieces};
 use drivebench_model::text::number::with_std;
 
-struct Motion {
-    /// Standard deviations from which a mean speed counts as motion.
-    deviations: f64,
-    /// Samples of which the mean is taken.
-    samples: usize,
-}
-
-const MOTION: Motion = Motion { deviations: 8.0, samples: 12 };
+/// Samples of which the mean is taken that counts as motion.
+const AVERAGED: usize = 12;
 
 /// Noise, peaks and motion of one stage.
 #[derive(Clone, Debug, PartialEq)]
@@ -63,9 +58,9 @@ impl Observation {
         let noise_rad_s = noise(&speed, 1e-4 * bounds.speed_limit_rad_s);
         let (offset_a, offset_rad_s) = (offset(&current), offset(&speed));
         // The mean at rest is known from finitely many samples as well.
-        let spread = (1.0 / MOTION.samples as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
-        let motion_rad_s =
-            (MOTION.deviations * noise_rad_s * spread).max(5e-4 * bounds.speed_limit_rad_s);
+        let spread = (1.0 / AVERAGED as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
+        let motion_rad_s = (belief::SETTINGS.clear_std * noise_rad_s * spread)
+            .max(5e-4 * bounds.speed_limit_rad_s);
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
         let farthest = |values: &[f64]| {
@@ -92,7 +87,7 @@ impl Observation {
         let at_rest = slow
             .iter()
             .position(|speed| speed.abs() > 0.6 * motion_rad_s)
-            .map_or(speeds.len(), |at| at.saturating_sub(MOTION.samples));
+            .map_or(speeds.len(), |at| at.saturating_sub(AVERAGED));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
         // Empty where the drive measures none.
         let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
@@ -120,7 +115,7 @@ impl Observation {
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
         let (u, i) = (self.voltage_of_motion_v.abs(), self.current_of_motion_a.abs());
         let w = self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE);
-        let speed_share = self.motion_rad_s / MOTION.deviations / w;
+        let speed_share = self.motion_rad_s / belief::SETTINGS.clear_std / w;
         match rest {
             Some(rest) => {
                 let value = ((u - rest.resistance_ohm * i) / w).max(0.1 * u / w);
@@ -161,10 +156,10 @@ fn means(values: &[f64]) -> Vec<f64> {
     (0..values.len())
         .map(|at| {
             sum += values[at];
-            if at >= MOTION.samples {
-                sum -= values[at - MOTION.samples];
+            if at >= AVERAGED {
+                sum -= values[at - AVERAGED];
             }
-            sum / MOTION.samples as f64
+            sum / AVERAGED as f64
         })
         .collect()
 }
@@ -360,7 +355,7 @@ impl Turned {
                 None => "unknown".to_owned(),
             }
         };
-        let [r, l, ke, j, mc] = crate::nameplate::KEYS.map(of);
+        let [r, l, ke, j, mc] = crate::belief::KEYS.map(of);
         format!("R {r}, L {l}, Ke {ke}, J {j}, Mc {mc}")
     }
 

@@ -7,6 +7,7 @@ use super::sensor::{Signal, is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
 use super::{CLOSE_S, Fault, Finding, Kind, Level, SignalFault};
+use crate::belief::SETTINGS;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
@@ -70,7 +71,7 @@ fn open_for_a_while(
     let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
     let level_a = median(&currents);
-    if rows.is_empty() || level_a > 0.02 * current.largest() {
+    if rows.is_empty() || level_a > SETTINGS.idle_current * current.largest() {
         return None;
     }
     let (from_s, rows) = (table.time_s[rows[0]], rows.len());
@@ -177,8 +178,6 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
 const ROUNDING: f64 = 1e-9;
 /// Share of the largest voltage from which its direction counts.
 const CLEARLY: f64 = 0.2;
-/// Share of the largest value that a signal may be negative by, through noise or offset.
-const NEARLY_NONE: f64 = 0.05;
 
 /// One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
 pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
@@ -237,7 +236,7 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
 fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     let (key, activity) = (watched.key, &watched.activity);
     let voltage = Activity::of(&table.voltage_v);
-    if !voltage.is_there() || activity.least < -NEARLY_NONE * activity.most {
+    if !voltage.is_there() || activity.least < -SETTINGS.clear * activity.most {
         return None;
     }
     // Where the voltage is clearly of one direction.
@@ -270,7 +269,7 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
 fn unsigned_voltage(table: &Table) -> Option<Finding> {
     let voltage = Activity::of(&table.voltage_v);
     let speed = Activity::of(&table.speed_rad_s);
-    if !(voltage.is_there() && speed.moves) || voltage.least < -NEARLY_NONE * voltage.most {
+    if !(voltage.is_there() && speed.moves) || voltage.least < -SETTINGS.clear * voltage.most {
         return None;
     }
     let rows = table.voltage_v.iter().zip(&table.speed_rad_s);

@@ -1,24 +1,18 @@
 //! Units. Each balance holds in any unit of speed or current, so a wrong one shows only against the angle, a torque,
 //! a nameplate, or a size that no motor has.
 
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
 use super::{Basis, Evidence, Fault, Finding, Kind, UnitFault};
+use crate::belief::{DEGREES, Range, SETTINGS, Scaled, nearest, speed_units};
 use crate::claims::OF_BACK_EMF as OF_SPEED;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::units::rpm_from_rad_s;
 
-const DEGREES: f64 = 180.0 / PI;
-
-/// Units that are taken for rad/s: `column = factor * true value`.
-fn speed_units() -> [(f64, &'static str); 4] {
-    [(rpm_from_rad_s(1.0), "r/min"), (DEGREES, "deg/s"), (1.0 / TAU, "turns/s"), (1e3, "mrad/s")]
-}
-
-/// Refuses a speed in one of those units.
+/// Refuses a speed in one of the units of [`speed_units`].
 fn not_rad_s((factor, seems): (f64, &'static str), evidence: Evidence) -> Finding {
     confused("speed_rad_s", [seems, "rad/s"], factor, evidence)
 }
@@ -107,8 +101,6 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     })
 }
 
-/// Tolerance by which a ratio of back-EMF constants shows a unit; temperature moves it by some per cent.
-const BACK_EMF: f64 = 0.15;
 /// Electrical time constant L/R that no armature reaches, s.
 pub const LONGEST_ARMATURE_S: f64 = 1.0;
 
@@ -164,22 +156,31 @@ pub(super) fn against_model(run: &Run, table: &Table, model: &Model) -> Vec<Find
 /// `windings`: resistance found and given.
 fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Option<Finding> {
     let winding = windings.map(|(found, given)| found / given);
-    // Resistances within a ratio of 1.8 may be those of one winding, hot and cold, with its cable.
-    let like =
-        |factor: f64| winding.is_none_or(|ratio| (factor / 1.8..factor * 1.8).contains(&ratio));
     let ratio = found / given;
     let evidence = Evidence::Model { back_emf: (found, given), resistance: windings };
-    if like(1.0)
-        && let Some(unit) =
-            speed_units().into_iter().find(|unit| near(ratio * unit.0, 1.0, BACK_EMF))
-    {
+    let ratio_of = |key| match key {
+        MotorKey::Resistance => winding,
+        MotorKey::BackEmf => Some(ratio),
+        _ => None,
+    };
+    let explains = |scaled: Scaled, factor: f64| {
+        let within = |key| match (key, scaled) {
+            // Resistances within this ratio may be those of one winding, hot and cold, with its cable.
+            (MotorKey::Resistance, _) => SETTINGS.any_factor.high.ln(),
+            // A current shows in the resistance; a back-EMF constant need only be that of another specimen.
+            (_, Scaled::Current) => SETTINGS.flux_factor.high.ln(),
+            _ => SETTINGS.unit,
+        };
+        scaled.explains(factor, ratio_of, within).is_some()
+    };
+    if let Some(unit) = speed_units().into_iter().find(|unit| explains(Scaled::Speed, unit.0)) {
         return Some(not_rad_s(unit, evidence));
     }
     for (factor, current, voltage) in [(1e3, "mA", "mV"), (1e-3, "kA", "kV")] {
-        if winding.is_some() && like(1.0 / factor) && near(ratio, 1.0, 3.0 * BACK_EMF) {
+        if winding.is_some() && explains(Scaled::Current, factor) {
             return Some(confused("current_a", [current, "A"], factor, evidence));
         }
-        if like(factor) && near(ratio, factor, BACK_EMF) {
+        if explains(Scaled::Voltage, factor) {
             return Some(confused("voltage_v", [voltage, "V"], factor, evidence));
         }
     }
@@ -195,13 +196,14 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
         (0.25, Basis::EdgesForLines),
         (4.0, Basis::LinesForEdges),
     ];
-    if let Some((_, basis)) = hints.into_iter().find(|hint| near(ratio, hint.0, 0.03)) {
+    if let Some((_, basis)) = nearest(ratio, &hints, 0.03) {
         let fault = UnitFault::OtherBasis { evidence, basis };
         return Some(Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(fault)));
     }
     // Two motors of one winding within this ratio are one, more or less magnetised.
     let is_far = !(1.0 / 1.5..1.5).contains(&ratio);
-    (is_far && winding.is_some() && like(1.0)).then(|| {
+    let is_like = winding.is_some_and(|ratio| SETTINGS.any_factor.gap(Range::at(ratio)) <= 0.0);
+    (is_far && is_like).then(|| {
         Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(UnitFault::Gear { evidence, ratio }))
     })
 }
@@ -213,7 +215,7 @@ fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let power: f64 = both.clone().map(|(_, i)| i * i).sum();
     let n_m_per_a = both.map(|(t, i)| t * i).sum::<f64>() / power;
     let ratio = n_m_per_a / back_emf;
-    let unit = speed_units().into_iter().find(|unit| near(ratio, unit.0, BACK_EMF))?;
+    let unit = nearest(ratio, &speed_units(), SETTINGS.unit)?;
     Some(not_rad_s(unit, Evidence::Torque { n_m_per_a, back_emf }))
 }
 

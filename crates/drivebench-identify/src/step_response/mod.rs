@@ -20,7 +20,7 @@ use crate::verdict::NOT_OBSERVABLE;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
-use crate::nameplate::KEYS;
+use crate::belief::KEYS;
 
 /// A value that was read with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
