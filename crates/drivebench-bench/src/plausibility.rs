@@ -2,11 +2,10 @@
 //! with each other.
 //!
 //! ```text
-//! commands, samples --history.rs--> rows --+-- u = R i + L di/dt + Ke w, no factor of 0.5 to 2 makes it fit (belief)
-//!                                          +-- measured voltage, current or speed against the set-points   (readings.rs)
-//!                                          +-- readings equal to the bit, while others change             (belief)
-//!                                          +-- current by the balances of voltage and torque              (belief)
-//!                                          +-- angle against speed; speed beyond its reference             (readings.rs)
+//! commands, samples --history.rs--> rows --+-- by the balances: what no factor of 0.5 to 2 makes fit   (contradiction.rs)
+//!                                          +-- measured voltage, current or speed against set-points  (readings.rs)
+//!                                          +-- readings equal to the bit, while others change         (belief::Repeats)
+//!                                          +-- angle against speed; speed beyond its reference        (readings.rs)
 //! ```
 //!
 //! Every quantity is a range over the last cycles, so that a drive which answers some cycles late, or reads a sensor only
@@ -33,7 +32,7 @@ use self::history::History;
 use super::limits::{Limits, Nameplate};
 use super::timing::whole;
 use super::trip::{Trip, TripKind};
-use drivebench_identify::belief::{Factor, Plate, Range, Repeats, Row, SETTINGS, Scale, Window};
+use drivebench_identify::belief::{Factor, Plate, Range, Repeats, Row, Scale, Settings, Window};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Name of the waiver.
@@ -158,7 +157,7 @@ impl Plausibility {
         let from_a = drive_current_limit_a.unwrap_or(motor.rated_current_a);
         let mut watch = Self::new(limits, scale);
         watch.plate = Some(motor.plate());
-        watch.bounds.limiting_a = SETTINGS.limiting_current * from_a.max(motor.rated_current_a);
+        watch.bounds.limiting_a = Settings::LIMITING_CURRENT * from_a.max(motor.rated_current_a);
         watch.proven.factor = Some(Factor::new(scale));
         watch
     }
@@ -176,7 +175,7 @@ impl Plausibility {
             bounds: Bounds {
                 speed_rad_s: limits.speed_rad_s,
                 current_a: limits.current_a,
-                limiting_a: SETTINGS.limiting_current * scale.amps,
+                limiting_a: Settings::LIMITING_CURRENT * scale.amps,
                 vertical: limits.load.vertical,
             },
             ..Self::default()
@@ -234,7 +233,7 @@ impl Plausibility {
     pub(super) const fn speed_is_plausible(&self) -> bool {
         self.symptoms.misfits == 0
             && self.symptoms.angle_windows == 0
-            && self.speed.run() < SETTINGS.repeated
+            && self.speed.run() < Settings::REPEATED
     }
 
     /// The checks that this drive and this motor do not allow.
@@ -300,7 +299,7 @@ impl Plausibility {
         self.history.demands().is_some_and(|mut demands| {
             demands.all(|demand| match demand {
                 Demand::Voltage(volts) => volts.abs() < self.rest_v(),
-                Demand::Current(amps) => amps.abs() < SETTINGS.rest * self.scale.amps,
+                Demand::Current(amps) => amps.abs() < Settings::REST * self.scale.amps,
                 Demand::Speed(rad_s) => rad_s.abs() < self.rest_rad_s(),
                 Demand::Disable | Demand::Stop | Demand::ResetFault => true,
             })
@@ -320,9 +319,9 @@ impl Plausibility {
 
     /// Cycles within which a fault has to be found.
     fn cycles(&self) -> usize {
-        let period_s = self.history.period_s().unwrap_or(SETTINGS.latency_s);
-        whole((SETTINGS.latency_s / period_s).ceil())
-            .clamp(SETTINGS.latency_cycles, SETTINGS.most_rows + 2)
+        let period_s = self.history.period_s().unwrap_or(Settings::LATENCY_S);
+        whole((Settings::LATENCY_S / period_s).ceil())
+            .clamp(Settings::LATENCY_CYCLES, Settings::MOST_ROWS + 2)
     }
 
     fn is_exact(&self) -> bool {
@@ -331,7 +330,7 @@ impl Plausibility {
 
     /// Repeats of a speed that count: more of a drive that may read its sensors less often than once a cycle.
     fn frozen_readings(&self) -> usize {
-        if self.is_exact() { SETTINGS.repeated } else { SETTINGS.repeated.max(self.cycles() - 1) }
+        if self.is_exact() { Settings::REPEATED } else { Settings::REPEATED.max(self.cycles() - 1) }
     }
 
     /// The last rows, newest first.
@@ -353,23 +352,23 @@ impl Plausibility {
     }
 
     fn window_rows(&self) -> usize {
-        if self.is_exact() { SETTINGS.stamped_rows } else { self.cycles() - 2 }
+        if self.is_exact() { Settings::STAMPED_ROWS } else { self.cycles() - 2 }
     }
 
     fn drop_v(&self) -> f64 {
-        SETTINGS.drop * self.scale.volts
+        Settings::DROP * self.scale.volts
     }
 
     fn idle_a(&self) -> f64 {
-        SETTINGS.idle_current * self.scale.amps
+        Settings::IDLE_CURRENT * self.scale.amps
     }
 
     fn rest_rad_s(&self) -> f64 {
-        SETTINGS.rest * self.scale.rad_s
+        Settings::REST * self.scale.rad_s
     }
 
     fn rest_v(&self) -> f64 {
-        SETTINGS.rest * self.scale.volts
+        Settings::REST * self.scale.volts
     }
 
     /// Equal to the bit, by the noise of the sensor at rest, or through a motion from rest.
@@ -390,8 +389,8 @@ impl Plausibility {
         }
         let (from, from_rest) = self.symptoms.current_onset.unwrap_or((speed, false));
         let moved = (speed - from).abs();
-        let needs_current = moved > SETTINGS.clear * self.scale.rad_s;
-        let stays = from_rest && needs_current && self.current.run() >= SETTINGS.repeated;
+        let needs_current = moved > Settings::CLEAR * self.scale.rad_s;
+        let stays = from_rest && needs_current && self.current.run() >= Settings::REPEATED;
         if excited
             && (self.current.is_silent() || self.current.is_stuck() && needs_current || stays)
         {
@@ -417,7 +416,7 @@ impl Plausibility {
             return None;
         }
         let since_s = *self.symptoms.stands_since_s.get_or_insert(last_s);
-        let longest_s = SETTINGS.standing_s.max(SETTINGS.latency_cycles as f64 * row.seconds);
+        let longest_s = Settings::STANDING_S.max(Settings::LATENCY_CYCLES as f64 * row.seconds);
         let torque = plate.torque_n_m(row.current_a);
         let what = format!(
             "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",

@@ -16,6 +16,7 @@
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: estimates from several runs; drift: the change between two dates
 //! lost_rows: missing rows of a record
+//! belief: whether signals and nameplates can be believed, for the live watch, the first pulse and all of the below
 //! sanity: plausibility of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
 //! ```
 

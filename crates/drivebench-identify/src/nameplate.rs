@@ -9,7 +9,7 @@ use std::f64::consts::TAU;
 
 use serde::Serialize;
 
-use super::belief::{KEYS, SETTINGS, Scaled, nearest};
+use super::belief::{KEYS, Range, Scaled, Settings, nearest};
 use super::temperature::COPPER_PER_K;
 use drivebench_model::findings;
 use drivebench_model::plant::{Motor, MotorKey};
@@ -175,7 +175,7 @@ pub fn compare(nameplate: &Motor, found: &[ParameterEstimate]) -> Comparison {
         KEYS.into_iter().filter_map(|key| row(key, nameplate.get(key), found)).collect();
     let fits = rows.iter().all(|row| row.fits != Fits::No);
     let causes = if fits { Vec::new() } else { causes(&rows) };
-    Comparison { fits, tolerance: SETTINGS.catalogue, rows, causes, doubt: None }
+    Comparison { fits, tolerance: Settings::CATALOGUE, rows, causes, doubt: None }
 }
 
 fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Option<Row> {
@@ -191,8 +191,9 @@ fn row(key: MotorKey, nameplate: Option<f64>, found: &[ParameterEstimate]) -> Op
     let fits = match (nameplate, value) {
         (Some(plate), Some(value)) => {
             let margin = 2.0 * std.unwrap_or(0.0);
-            let most = 1.0 + SETTINGS.catalogue;
-            let differs = value + margin < plate / most || value - margin > plate * most;
+            let most = 1.0 + Settings::CATALOGUE;
+            let catalogue = Range::new(plate / most, plate * most);
+            let differs = catalogue.gap(Range::around(value, margin)) > 0.0;
             if differs { Fits::No } else { Fits::Yes }
         }
         _ => Fits::NotTold,
@@ -215,7 +216,7 @@ fn speed_cause(factor: f64) -> NameplateCause {
         (10.0, NameplateCause::SpeedTenTimes),
         (0.1, NameplateCause::SpeedTenth),
     ];
-    nearest(factor, &known, SETTINGS.unit)
+    nearest(factor, &known, Settings::UNIT)
         .map_or(NameplateCause::SpeedScale { factor }, |(_, cause)| cause)
 }
 
@@ -256,7 +257,7 @@ fn explained(
     scaled: Scaled,
     ratio: impl Fn(MotorKey) -> Option<f64> + Copy,
 ) -> Option<NameplateCause> {
-    let tolerance = SETTINGS.catalogue.ln_1p();
+    let tolerance = Settings::CATALOGUE.ln_1p();
     let factor = scaled.factor(ratio)?;
     // Friction and load are the least certain values of a nameplate.
     let within = |key| if key == MotorKey::LoadTorque { 2.0 * tolerance } else { tolerance };

@@ -11,7 +11,7 @@ use crate::mechanics::Brake;
 use crate::plausibility::PLAUSIBILITY;
 use crate::trip::Trip;
 use drivebench_control::Actuator;
-use drivebench_identify::belief::SETTINGS;
+use drivebench_identify::belief::Settings;
 use drivebench_link::DriveProfile;
 use drivebench_link::register_map::{Quantity, RegisterMap, Signal};
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
@@ -177,7 +177,7 @@ impl<'c, 'a> PulseRun<'c, 'a> {
         };
         let limit_a = checker.report.identity.current_limit_a;
         let (mean, std) = floor(&checker.report.noise, Channel::Speed);
-        let share = (SETTINGS.rest * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
+        let share = (Settings::REST * limits.speed_rad_s).min(0.5 * size.goal_rad_s);
         Self {
             guard: Guard::new(of_pulse, nameplate, limit_a)
                 .with_period(checker.period_s)
@@ -186,7 +186,7 @@ impl<'c, 'a> PulseRun<'c, 'a> {
             still,
             sent: checker.zero,
             brake: limits.load.brake(),
-            rest: (mean, share.max(SETTINGS.sigmas * std)),
+            rest: (mean, share.max(Settings::SIGMAS * std)),
             next_s: checker.clock.now_s(),
             slept_s: checker.clock.slept_s(),
             checker,

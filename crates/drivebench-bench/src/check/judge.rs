@@ -14,7 +14,7 @@ use std::ops::Range;
 use super::pulse::{Leg, Point, Size};
 use crate::limits::Nameplate;
 use drivebench_control::Actuator;
-use drivebench_identify::belief::{SETTINGS, nearest};
+use drivebench_identify::belief::{self, Settings, nearest};
 use drivebench_model::units::rpm_from_rad_s;
 
 /// What is known of the sensors and the motor.
@@ -35,12 +35,12 @@ pub(super) struct Known<'a> {
 
 impl Known<'_> {
     pub(super) fn moved_rad_s(&self) -> f64 {
-        (SETTINGS.clear_std * self.speed.1).max(0.1 * self.size.goal_rad_s)
+        (Settings::CLEAR_STD * self.speed.1).max(0.1 * self.size.goal_rad_s)
     }
 
     pub(super) fn flowed_a(&self) -> f64 {
-        (SETTINGS.clear_std * self.current.1)
-            .max(SETTINGS.idle_current * self.nameplate.rated_current_a)
+        (Settings::CLEAR_STD * self.current.1)
+            .max(Settings::IDLE_CURRENT * self.nameplate.rated_current_a)
     }
 }
 
@@ -206,7 +206,7 @@ struct Ratio {
     unit: &'static str,
     nameplate: f64,
     /// Shares of the nameplate's value that a specimen may have.
-    plausible: (f64, f64),
+    plausible: belief::Range,
     /// Of the nameplate's value: lowest, likeliest, highest.
     interval: (f64, f64, f64),
 }
@@ -214,18 +214,13 @@ struct Ratio {
 impl Ratio {
     /// The resistance; the voltage drop of brushes and bridge counts as winding.
     const fn resistance(nameplate: f64, interval: (f64, f64, f64)) -> Self {
-        Self {
-            name: "resistance",
-            unit: "ohm",
-            nameplate,
-            plausible: (SETTINGS.any_factor.low, 3.0),
-            interval,
-        }
+        let plausible = belief::Range::new(Settings::ANY_FACTOR.low, 3.0);
+        Self { name: "resistance", unit: "ohm", nameplate, plausible, interval }
     }
 
     /// The flux of a specimen, cold or warm.
     const fn back_emf(nameplate: f64, interval: (f64, f64, f64)) -> Self {
-        let plausible = (SETTINGS.flux_factor.low, SETTINGS.flux_factor.high);
+        let plausible = Settings::FLUX_FACTOR;
         Self { name: "back-EMF constant", unit: "V.s/rad", nameplate, plausible, interval }
     }
 
@@ -245,16 +240,16 @@ impl Ratio {
 
     /// The interval holds the whole plausible range.
     fn is_undetermined(&self) -> bool {
-        self.interval.0 < self.plausible.0 && self.interval.2 > self.plausible.1
+        self.interval.0 < self.plausible.low && self.interval.2 > self.plausible.high
     }
 
     /// The interval holds nothing plausible.
     fn is_refused(&self) -> bool {
-        self.interval.0 > self.plausible.1 || self.interval.2 < self.plausible.0
+        self.plausible.gap(belief::Range::new(self.interval.0, self.interval.2)) > 0.0
     }
 
     fn refusal(&self) -> String {
-        let (least, most) = self.plausible;
+        let belief::Range { low: least, high: most } = self.plausible;
         format!(
             "{}; {least} to {most} times is plausible; {}",
             self.text(),
@@ -278,7 +273,7 @@ impl Ratio {
                 (1e3, "mV on the nameplate"),
             ],
         };
-        match nearest(ratio, mistakes, SETTINGS.any_factor.high.ln()) {
+        match nearest(ratio, mistakes, Settings::ANY_FACTOR.high.ln()) {
             Some((factor, text)) => {
                 format!("a mistake of units by the factor {factor:.3} would explain it: {text}")
             }
@@ -359,9 +354,9 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
     let nameplate = known.nameplate;
     let (r, ke) = (nameplate.resistance_ohm, nameplate.back_emf_v_s_per_rad);
     let [noise_a, noise_rad_s] = [known.current.1, known.speed.1]
-        .map(|std| SETTINGS.sigmas * std / (AVERAGED as f64).sqrt());
+        .map(|std| Settings::SIGMAS * std / (AVERAGED as f64).sqrt());
     // Uncertainty of a voltage for constant drops, and of a difference of two voltages, as shares of the rated voltage.
-    let (drop_share, difference_share) = (SETTINGS.judged, 0.003);
+    let (drop_share, difference_share) = (Settings::JUDGED, 0.003);
     let (rest, motion) = rest_and_motion(known, leg);
     let mut ratios = Vec::new();
     if let Some(rest) = rest {
@@ -380,7 +375,7 @@ fn ratios(known: &Known<'_>, leg: &Leg) -> Vec<Ratio> {
             + motion.step_v
             + share * nameplate.rated_voltage_v
             // The resistance of the nameplate may be off, too.
-            + r * (SETTINGS.catalogue * change_a.abs() + noise_a);
+            + r * (Settings::CATALOGUE * change_a.abs() + noise_a);
         ratios.push(Ratio::back_emf(ke, interval(emf_v, doubt_v, by_v, ke * noise_rad_s)));
     }
     ratios
@@ -413,7 +408,7 @@ fn cannot_be_evaluated(known: &Known<'_>, leg: &Leg) -> bool {
     let lost = |first: usize| leg.points[first..].iter().all(|point| point.is_after_pause);
     let is_lost = moves_at(known, leg).is_some_and(lost);
     // Without a pause a step is one cycle of the rise.
-    let most_v = 2.5 * known.size.step() + SETTINGS.clear_std * known.noise_v;
+    let most_v = 2.5 * known.size.step() + Settings::CLEAR_STD * known.noise_v;
     let steps = |mean: &Mean| mean.step_v > most_v;
     let is_voltage = known.size.kind == Actuator::Voltage;
     let is_driven = is_voltage && rest.iter().chain(&motion).any(steps);

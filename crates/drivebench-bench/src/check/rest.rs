@@ -7,7 +7,7 @@ use super::{CheckError, Checker, NoiseFloor, RATE_CHECK, Reached, floor};
 use crate::limits::Limits;
 use crate::timing::quantile;
 use drivebench_control::Actuator;
-use drivebench_identify::belief::SETTINGS;
+use drivebench_identify::belief::Settings;
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 use drivebench_model::text::number::with_std;
 
@@ -28,9 +28,9 @@ pub(super) const AT_ZERO_HELP: &str = "the drive was stopped at once: check the 
 /// The watched signals, with the bench's limit of each and its share that mean and standard deviation may have at rest.
 fn watched(limits: &Limits) -> [(Channel, f64, f64); 3] {
     [
-        (Channel::Speed, limits.speed_rad_s, SETTINGS.rest),
-        (Channel::Current, limits.current_a, SETTINGS.clear),
-        (Channel::Voltage, limits.voltage_v, SETTINGS.clear),
+        (Channel::Speed, limits.speed_rad_s, Settings::REST),
+        (Channel::Current, limits.current_a, Settings::CLEAR),
+        (Channel::Voltage, limits.voltage_v, Settings::CLEAR),
     ]
 }
 
@@ -55,7 +55,7 @@ fn figure(channel: Channel, what: &str, value: f64, most: f64) -> String {
 
 /// The signal of one sample that exceeds rest; `settled`: by the bound of a mean, else by three times that.
 fn beyond_rest(sample: &Sample, limits: &Limits, settled: bool) -> Option<String> {
-    let factor = if settled { 1.0 } else { SETTINGS.sigmas };
+    let factor = if settled { 1.0 } else { Settings::SIGMAS };
     beyond(limits, factor, "", |channel| sample.get(channel))
 }
 
@@ -86,14 +86,14 @@ impl Still {
         let bounds = watched(limits).map(|(channel, limit, _)| {
             let (mean, std) = floor(noise, channel);
             let most = match (channel, kind) {
-                (Channel::Speed, _) => SETTINGS.rest * limit,
+                (Channel::Speed, _) => Settings::REST * limit,
                 // A drive that controls the speed to zero needs any voltage and current for it.
                 (_, Actuator::Speed) => limit,
                 (Channel::Current, _) => 0.15 * limit + hold.1.abs(),
                 (_, Actuator::Voltage) => 0.15 * limit + hold.0.abs(),
                 (_, Actuator::Current) => limit,
             };
-            (channel, mean, most.max(SETTINGS.clear_std * std))
+            (channel, mean, most.max(Settings::CLEAR_STD * std))
         });
         Self { bounds, angle_rad: None }
     }

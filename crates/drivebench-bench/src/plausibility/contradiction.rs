@@ -2,7 +2,7 @@
 
 use super::{CHECK_CURRENT, CHECK_ENCODER, CHECK_SET_POINT, Plausibility, RepetitionStart};
 use crate::trip::{Trip, TripKind};
-use drivebench_identify::belief::{Plate, Range, Reading, SETTINGS, Window};
+use drivebench_identify::belief::{Plate, Range, Reading, Settings, Window};
 
 impl Plausibility {
     /// Faults by the voltage balance.
@@ -26,13 +26,13 @@ impl Plausibility {
         let misfits = !self.waived && window.misfits(self.drop_v());
         if misfits || self.accelerates_against_current(&window) {
             self.symptoms.misfits += 1;
-            let is_confirmed = self.symptoms.misfits >= SETTINGS.confirming_windows;
+            let is_confirmed = self.symptoms.misfits >= Settings::CONFIRMING_WINDOWS;
             return is_confirmed.then(|| self.isolate(&plate, &window))?;
         }
         self.symptoms.misfits = 0;
         if window.fits(self.drop_v()) {
             let [volts, current, speed] = window.mean;
-            let turns = speed.abs() > SETTINGS.clear * self.scale.volts;
+            let turns = speed.abs() > Settings::CLEAR * self.scale.volts;
             self.proven.direction |= turns && speed * volts > 0.0;
             self.symptoms.last_fit = Some((volts, current + speed));
         }
@@ -49,7 +49,7 @@ impl Plausibility {
         let factor = self.proven.factor.as_mut()?.push(&row, is_signed, plate)?;
         // Both balances fit either sign; only one of them goes against the voltage.
         if factor < 0.0
-            && let Some(window) = self.window(plate, SETTINGS.stamped_rows)
+            && let Some(window) = self.window(plate, Settings::STAMPED_ROWS)
             && window.mean[2] * window.mean[0] < 0.0
         {
             return Some(self.misread(TripKind::EncoderReversed, plate, &window));
@@ -69,7 +69,7 @@ impl Plausibility {
 
     /// The shaft gains or loses speed against its current and speed, and the opposite sign of one would fit.
     fn accelerates_against_current(&self, window: &Window) -> bool {
-        let gain: f64 = self.latest(SETTINGS.stamped_rows).map(|row| row.speed_change_rad_s).sum();
+        let gain: f64 = self.latest(Settings::STAMPED_ROWS).map(|row| row.speed_change_rad_s).sum();
         if gain.abs() < self.rest_rad_s() {
             return false;
         }
@@ -78,9 +78,9 @@ impl Plausibility {
         let encoder = drives
             && speed * volts < 0.0
             && gain * volts < 0.0
-            && self.is_mirrored(window, Reading::Speed, SETTINGS.judged);
+            && self.is_mirrored(window, Reading::Speed, Settings::JUDGED);
         // A braked shaft may lose speed under a current that drives it, where a load takes more.
-        let least_share = if current * volts < 0.0 { SETTINGS.judged } else { SETTINGS.drop };
+        let least_share = if current * volts < 0.0 { Settings::JUDGED } else { Settings::DROP };
         let sensor = is_signed
             && speed * volts > 0.0
             && gain * current < 0.0
@@ -90,7 +90,7 @@ impl Plausibility {
 
     /// No current flows that would drive anything.
     fn is_idle(&self) -> bool {
-        let rows = SETTINGS.stamped_rows;
+        let rows = Settings::STAMPED_ROWS;
         self.history.rows().len() >= rows
             && self.latest(rows).all(|row| row.current_a.abs() < self.idle_a())
     }
@@ -108,19 +108,19 @@ impl Plausibility {
         let is_frozen = self.speed.run() >= self.frozen_readings();
         // A coasting shaft is not driven, and a converter may not be able to brake it.
         let coasts = volts.abs() < emf.abs() && !is_frozen;
-        let (any, flux) = (SETTINGS.any_factor, SETTINGS.flux_factor);
+        let (any, flux) = (Settings::ANY_FACTOR, Settings::FLUX_FACTOR);
         if coasts || window.gap(any, flux, self.drop_v()) <= 0.0 {
             self.symptoms.idle_since_s = None;
             return None;
         }
         let for_s = last.time_s - *self.symptoms.idle_since_s.get_or_insert(last.time_s);
         let turns = speed.abs() >= self.rest_rad_s();
-        if for_s < SETTINGS.idle_s || turns && self.waived {
+        if for_s < Settings::IDLE_S || turns && self.waived {
             return None;
         }
         let figures = format!(
             "{current:.3} A flow at {volts:.1} V and {speed:.1} rad/s for {for_s:.2} s, {} s are allowed",
-            SETTINGS.idle_s
+            Settings::IDLE_S
         );
         let by_voltage = plate.steady_rad_s(volts, 0.0);
         let stalled = (current, volts / plate.resistance_ohm);
@@ -146,13 +146,13 @@ impl Plausibility {
 
     /// A shaft that speeds up with the voltage and without a current.
     fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
-        let (idle_a, most) = (self.idle_a(), SETTINGS.driven_speed * self.scale.rad_s);
+        let (idle_a, most) = (self.idle_a(), Settings::DRIVEN_SPEED * self.scale.rad_s);
         let (mut seconds, mut gain) = (0.0, 0.0);
         for row in self.history.rows().iter().rev() {
             let volts = row.volts?.middle();
             let drives = volts * speed > 0.0 && volts.abs() > self.rest_v();
             seconds += row.seconds;
-            if row.current_a.abs() > idle_a || !drives || seconds > SETTINGS.driven_s {
+            if row.current_a.abs() > idle_a || !drives || seconds > Settings::DRIVEN_S {
                 break;
             }
             gain += row.speed_change_rad_s * speed.signum();
@@ -188,10 +188,10 @@ impl Plausibility {
             || reverses(start.currents, currents)
             || reverses(currents, start.currents);
         let drops_v = if turns { 2.0 * self.drop_v() } else { self.rest_v() };
-        let by_winding_v = (1.0 - SETTINGS.winding_factor.low) * (current - start.current).abs();
+        let by_winding_v = (1.0 - Settings::WINDING_FACTOR.low) * (current - start.current).abs();
         let tolerance_v = drops_v + by_winding_v + 0.5 * window.volts.width();
         // From the first back-EMF and from that of the measured speed: the first may be of a current in transit.
-        let beyond = |other_v: f64| SETTINGS.flux_factor.low * (emf - other_v).abs() > tolerance_v;
+        let beyond = |other_v: f64| Settings::FLUX_FACTOR.low * (emf - other_v).abs() > tolerance_v;
         if window.fits(self.drop_v()) && !(beyond(start.emf) && beyond(speed)) {
             self.symptoms.frozen_windows = 0;
             return None;
@@ -209,20 +209,20 @@ impl Plausibility {
         let [volts, current, speed] = window.mean;
         let is_ignored = self.symptoms.last_fit.is_some_and(|(last_v, response)| {
             let step = (volts - last_v).abs();
-            step > 2.0 * drop_v && (current + speed - response).abs() < SETTINGS.left * step
+            step > 2.0 * drop_v && (current + speed - response).abs() < Settings::LEFT * step
         });
         let last = *self.history.last()?;
         let drives_back = speed * volts < 0.0 && current * volts.signum() >= -drop_v;
         // A speed loop may have reversed the voltage too.
         let is_reversed = drives_back && window.with_speed_reversed().fits(drop_v)
-            || self.is_mirrored(window, Reading::Speed, 2.0 * SETTINGS.drop);
+            || self.is_mirrored(window, Reading::Speed, 2.0 * Settings::DROP);
         let turns = last.speed_rad_s?.abs() >= self.rest_rad_s();
         let kind = if self.speed.run() >= self.frozen_readings() {
             TripKind::EncoderFrozen
         } else if is_reversed {
             TripKind::EncoderReversed
         } else if self.proven.current_sign
-            && self.is_mirrored(window, Reading::Current, SETTINGS.judged)
+            && self.is_mirrored(window, Reading::Current, Settings::JUDGED)
         {
             TripKind::CurrentReversed
         } else if let Some(trip) = self.swapped() {

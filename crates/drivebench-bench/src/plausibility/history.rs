@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
-use drivebench_identify::belief::{Range, Row, SETTINGS, Scale};
+use drivebench_identify::belief::{Range, Row, Scale, Settings};
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
 /// Commands and samples kept: more than any latency in cycles.
@@ -77,7 +77,7 @@ impl History {
     pub(super) fn demands(&self) -> Option<impl Iterator<Item = Demand>> {
         let last = self.samples.back()?;
         last.key?;
-        let late = SETTINGS.latency_cycles as u64;
+        let late = Settings::LATENCY_CYCLES as u64;
         Some(self.in_force(last, last, if last.exact { 2 } else { late }))
     }
 
@@ -98,7 +98,7 @@ impl History {
     fn volts(&self, last: &Observation, now: &Observation, scale: &Scale) -> Option<Range> {
         let measured = last.voltage_v.zip(now.voltage_v);
         // Such a loop follows a step within a part of a cycle.
-        let steady = |a: f64, b: f64| (b - a).abs() <= SETTINGS.clear * scale.volts;
+        let steady = |a: f64, b: f64| (b - a).abs() <= Settings::CLEAR * scale.volts;
         let demand = last.demand?;
         if let Demand::Speed(_) = demand {
             // The drive's own loop sets the voltage, and the reported one may be that of another machine.
@@ -117,8 +117,8 @@ impl History {
             let set_point = Range::of(amps)?;
             let (from_a, to_a) = last.current_a.zip(now.current_a)?;
             let is_steady = steady(a, b)
-                && (to_a - from_a).abs() <= SETTINGS.follows * scale.amps
-                && set_point.width() <= SETTINGS.steady_command * scale.amps;
+                && (to_a - from_a).abs() <= Settings::FOLLOWS * scale.amps
+                && set_point.width() <= Settings::STEADY_COMMAND * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
         let keys = last.key.zip(now.key)?;
@@ -167,7 +167,7 @@ impl History {
         let (from_a, to_a) = last.current_a.zip(now.current_a)?;
         let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
         let angles = last.angle_rad.zip(now.angle_rad);
-        (seconds > 0.0 && seconds < SETTINGS.longest_row_s).then(|| Row {
+        (seconds > 0.0 && seconds < Settings::LONGEST_ROW_S).then(|| Row {
             seconds,
             current_a: 0.5 * (from_a + to_a),
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),

@@ -3,7 +3,7 @@
 
 use super::{Agreement, CHECK_ENCODER, CHECK_SET_POINT, Departure, Plausibility, Runaway};
 use crate::trip::{Trip, TripKind};
-use drivebench_identify::belief::{Range, Reading, Row, SETTINGS};
+use drivebench_identify::belief::{Range, Reading, Row, Settings};
 use drivebench_model::sample::Demand;
 
 impl Plausibility {
@@ -19,9 +19,9 @@ impl Plausibility {
             && !last.limited
         {
             let wanted = set_point.middle();
-            let about = set_point.times(SETTINGS.known_scale).wider(self.rest_v());
+            let about = set_point.times(Settings::KNOWN_SCALE).wider(self.rest_v());
             let is_near = |value: f64| about.gap(Range::at(value)) <= 0.0;
-            let is_far = wanted.abs() > SETTINGS.clear * self.scale.volts;
+            let is_far = wanted.abs() > Settings::CLEAR * self.scale.volts;
             if is_near(current) && !is_near(volts) && is_far {
                 let what = format!(
                     "the current reads {current:.2} A and the voltage {volts:.2} V, at a set-point of {wanted:.2} V: exchanged, both would fit; check the addresses of voltage and current in the drive's profile"
@@ -32,7 +32,7 @@ impl Plausibility {
         if speed.abs() > self.bounds.current_a || current.abs() > self.bounds.speed_rad_s {
             return None;
         }
-        let floor = 2.0 * SETTINGS.judged * self.scale.volts;
+        let floor = 2.0 * Settings::JUDGED * self.scale.volts;
         let both_ways = |row: &Row| {
             let volts = row.volts?;
             let misfit = |a: f64, b: f64| volts.gap(Range::at(plate.steady_v(a, b)));
@@ -40,11 +40,11 @@ impl Plausibility {
             Some((misfit(a, b), misfit(b, a)))
         };
         let misfits: Vec<(f64, f64)> =
-            self.latest(SETTINGS.most_rows).map_while(both_ways).collect();
+            self.latest(Settings::MOST_ROWS).map_while(both_ways).collect();
         let (as_read, exchanged) = *misfits.first()?;
         // Every row that does not fit as read has to fit when exchanged.
         let explains =
-            |(as_read, exchanged): &(f64, f64)| *exchanged < floor.min(SETTINGS.left * as_read);
+            |(as_read, exchanged): &(f64, f64)| *exchanged < floor.min(Settings::LEFT * as_read);
         let all = misfits.iter().filter(|(as_read, _)| *as_read > floor).all(explains);
         if as_read <= floor || !all {
             return None;
@@ -80,44 +80,44 @@ impl Plausibility {
             return None;
         };
         let period_s = self.history.period_s()?;
-        let latency_s = SETTINGS.latency_s.max(SETTINGS.latency_cycles as f64 * period_s);
+        let latency_s = Settings::LATENCY_S.max(Settings::LATENCY_CYCLES as f64 * period_s);
         let (speed, current) = (last.speed_rad_s?, last.current_a?);
         let idle = current.abs() < self.idle_a() && speed.abs() < self.rest_rad_s();
         let factors = match demand {
-            Demand::Voltage(_) if self.proven.voltage_scale => SETTINGS.known_scale,
+            Demand::Voltage(_) if self.proven.voltage_scale => Settings::KNOWN_SCALE,
             _ if self.waived => Range::new(0.1, 10.0),
-            _ => SETTINGS.any_factor,
+            _ => Settings::ANY_FACTOR,
         };
         let mut region = set_point.times(factors);
         let (measured, full, confirm_s, unit) = match demand {
             Demand::Voltage(_) => {
                 region = region.wider(self.drop_v());
                 let soon_s = if last.exact { 0.6 * latency_s } else { 1.5 * period_s };
-                let confirm_s = if idle { SETTINGS.idle_s } else { soon_s };
+                let confirm_s = if idle { Settings::IDLE_S } else { soon_s };
                 if last.limited || current.abs() > self.bounds.limiting_a {
                     // A limit brings the voltage nearer to the back-EMF, never beyond it.
                     let emf = self.plate.map(|plate| Range::at(plate.steady_v(0.0, speed)));
                     let plausible =
-                        |emf: Range| emf.times(SETTINGS.any_factor).wider(self.drop_v());
+                        |emf: Range| emf.times(Settings::ANY_FACTOR).wider(self.drop_v());
                     region = emf.map_or(Range::EVERY, |emf| region.union(plausible(emf)));
                 }
                 (last.voltage_v, self.scale.volts, confirm_s, "V")
             }
             Demand::Current(_) => {
                 let amps = self.scale.amps;
-                region = region.wider(SETTINGS.follows * amps);
+                region = region.wider(Settings::FOLLOWS * amps);
                 let emf_v = self.plate.map_or(0.0, |plate| plate.steady_v(0.0, speed));
                 let has_room = last.voltage_v.unwrap_or(2.0 * emf_v).abs() < 0.9 * self.scale.volts;
                 if !self.proven.current_sign {
                     region = region.union(region.negative());
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
-                let confirm_s = SETTINGS.current_follows_s.max(latency_s);
+                let confirm_s = Settings::CURRENT_FOLLOWS_S.max(latency_s);
                 (measured, amps, confirm_s, "A")
             }
             _ => {
-                region = region.wider(SETTINGS.follows * self.scale.rad_s);
-                let confirm_s = SETTINGS.speed_follows_s.max(latency_s);
+                region = region.wider(Settings::FOLLOWS * self.scale.rad_s);
+                let confirm_s = Settings::SPEED_FOLLOWS_S.max(latency_s);
                 let measured = Some(speed).filter(|_| !last.limited);
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }
@@ -177,15 +177,15 @@ impl Plausibility {
             }
             let is_steady = set_point.width() < self.drop_v();
             let is_clear =
-                SETTINGS.known_scale.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
+                Settings::KNOWN_SCALE.high.mul_add(value.abs(), -value.abs()) > self.drop_v();
             self.proven.voltage_scale |= is_steady && is_clear;
         }
         let beyond = |current: f64| current.abs() > self.bounds.limiting_a;
         let is_limited = last.limited || last.current_a.is_some_and(beyond);
         let agreement = self.symptoms.agreement.as_mut()?;
         let moved = set_point.gap(Range::at(agreement.set_point_v));
-        let stays = moved > SETTINGS.clear * self.scale.volts
-            && (value - agreement.measured_v).abs() < SETTINGS.left * moved;
+        let stays = moved > 1.5 * Settings::DROP * self.scale.volts
+            && (value - agreement.measured_v).abs() < Settings::LEFT * moved;
         if is_limited || !stays {
             agreement.stuck_since_s = None;
             return None;
@@ -207,7 +207,7 @@ impl Plausibility {
             let distance = |volts: f64| (response - volts).abs();
             if 2.0 * distance(wanted) < distance(value)
                 && distance(wanted)
-                    < self.drop_v() + (1.0 - SETTINGS.flux_factor.low) * wanted.abs()
+                    < self.drop_v() + (1.0 - Settings::FLUX_FACTOR.low) * wanted.abs()
             {
                 let what = format!(
                     "{figures}; current and speed are those of {response:.1} V, so the measured voltage is wrong; check its address, scale and sign in the drive's profile"
@@ -223,7 +223,7 @@ impl Plausibility {
     pub(super) fn by_angle(&mut self) -> Option<Trip> {
         // An angle that is read less often than once a cycle stays for some cycles; the confirmations come on top.
         let times = if self.is_exact() { 1 } else { 2 };
-        let rows = times * self.cycles() - SETTINGS.confirming_windows;
+        let rows = times * self.cycles() - Settings::CONFIRMING_WINDOWS;
         if self.history.rows().len() < rows {
             return None;
         }
@@ -248,13 +248,13 @@ impl Plausibility {
         // Of stamped speeds the mean is narrower than their range.
         let speeds =
             if self.is_exact() { Range::around(by_speed / seconds, widest) } else { speeds? };
-        let plausible = speeds.times(SETTINGS.any_factor).wider(2.0 * self.rest_rad_s());
+        let plausible = speeds.times(Settings::ANY_FACTOR).wider(2.0 * self.rest_rad_s());
         if plausible.gap(Range::at(rate)) <= 0.0 {
             self.symptoms.angle_windows = 0;
             return None;
         }
         self.symptoms.angle_windows += 1;
-        if self.symptoms.angle_windows < SETTINGS.confirming_windows {
+        if self.symptoms.angle_windows < Settings::CONFIRMING_WINDOWS {
             return None;
         }
         let speed = speeds.middle();
@@ -262,7 +262,7 @@ impl Plausibility {
             "the angle turns by {rate:.1} rad/s, the measured speed is {speed:.1} rad/s, {:.1} to {:.1} rad/s is plausible; {CHECK_ENCODER}",
             plausible.low, plausible.high
         );
-        let kind = if self.speed.run() >= SETTINGS.repeated {
+        let kind = if self.speed.run() >= Settings::REPEATED {
             TripKind::EncoderFrozen
         } else {
             TripKind::AngleImplausible
@@ -279,7 +279,7 @@ impl Plausibility {
         let beyond = direction * (speed - reference);
         let grows = direction * row.speed_change_rad_s > 0.0;
         let braked = direction * row.current_a < 0.0;
-        if !(grows && braked && beyond > SETTINGS.clear * self.bounds.speed_rad_s) {
+        if !(grows && braked && beyond > Settings::CLEAR * self.bounds.speed_rad_s) {
             self.symptoms.runaway = None;
             return None;
         }
@@ -289,13 +289,13 @@ impl Plausibility {
             .get_or_insert(Runaway { from_rad_s: speed - row.speed_change_rad_s, cycles: 0 });
         runaway.cycles += 1;
         let growth = direction * (speed - runaway.from_rad_s);
-        let long = runaway.cycles >= SETTINGS.repeated;
-        if !(long && growth > SETTINGS.rest * self.bounds.speed_rad_s) {
+        let long = runaway.cycles >= Settings::REPEATED;
+        if !(long && growth > Settings::REST * self.bounds.speed_rad_s) {
             return None;
         }
         // With a reversed encoder the shaft runs away as soon as it moves.
         if let Some(plate) = self.plate
-            && let Some(window) = self.window(&plate, SETTINGS.stamped_rows)
+            && let Some(window) = self.window(&plate, Settings::STAMPED_ROWS)
             && window.is_mirrored(Reading::Speed, 0.0, 0.0)
         {
             return Some(self.misread(TripKind::EncoderReversed, &plate, &window));

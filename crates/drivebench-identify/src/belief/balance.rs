@@ -1,6 +1,6 @@
 //! The balances of voltage and torque over some rows, their terms as ranges.
 
-use super::{Range, SETTINGS};
+use super::{Range, Settings};
 
 /// A motor as the balances need it; the torque constant is that of the back-EMF.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -64,7 +64,7 @@ impl Plate {
 
     /// A current that turns a free shaft, whatever its friction is, A.
     pub fn turning_a(&self) -> f64 {
-        SETTINGS.standing_friction * self.friction_n_m / self.back_emf_v_s_per_rad
+        Settings::STANDING_FRICTION * self.friction_n_m / self.back_emf_v_s_per_rad
     }
 
     /// Voltage of the winding in a row, V.
@@ -135,12 +135,12 @@ impl Window {
 
     /// It fits a motor with a warm winding and the flux of another specimen.
     pub fn fits(&self, drop_v: f64) -> bool {
-        self.gap(SETTINGS.winding_factor, SETTINGS.flux_factor, drop_v) <= 0.0
+        self.gap(Settings::WINDING_FACTOR, Settings::FLUX_FACTOR, drop_v) <= 0.0
     }
 
     /// No reading within its tolerance makes it fit.
     pub fn misfits(&self, drop_v: f64) -> bool {
-        self.gap(SETTINGS.any_factor, SETTINGS.any_factor, drop_v) > 0.0
+        self.gap(Settings::ANY_FACTOR, Settings::ANY_FACTOR, drop_v) > 0.0
     }
 
     /// Mean term of a reading, and of the other one, V.
@@ -165,8 +165,8 @@ impl Window {
             Reading::Current => self.speed,
             Reading::Speed => self.current,
         };
-        let by_other = self.volts.plus(other.times(SETTINGS.any_factor).negative());
-        by_other.wider(drop_v).times(SETTINGS.any_factor)
+        let by_other = self.volts.plus(other.times(Settings::ANY_FACTOR).negative());
+        by_other.wider(drop_v).times(Settings::ANY_FACTOR)
     }
 
     /// The same with another sign of the speed.

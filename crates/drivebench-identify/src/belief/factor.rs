@@ -10,7 +10,7 @@
 //! forgetting (Ljung, System Identification, 2nd ed. 1999, sec. 11.2) and the tolerances of the nameplate as prior, which is
 //! not forgotten.
 
-use super::{Plate, Row, SETTINGS, Scale};
+use super::{Plate, Row, Scale, Settings};
 use nalgebra::{SMatrix, SVector};
 
 /// Weighted normal equations of `N` factors with a prior.
@@ -64,9 +64,10 @@ pub struct Factor {
 
 impl Factor {
     pub fn new(scale: Scale) -> Self {
-        let drop = (0.0, 0.5 * SETTINGS.drop * scale.volts);
+        let drop = (0.0, 0.5 * Settings::DROP * scale.volts);
         let [unknown, flux, friction] =
-            [SETTINGS.unknown_std, SETTINGS.flux_std, SETTINGS.friction_std].map(|std| (1.0, std));
+            [Settings::UNKNOWN_STD, Settings::FLUX_STD, Settings::FRICTION_STD]
+                .map(|std| (1.0, std));
         Self {
             voltage: NormalEquations::new([unknown, flux, drop]),
             torque: NormalEquations::new([unknown, friction]),
@@ -85,25 +86,25 @@ impl Factor {
         if !(is_signed || is_driven) {
             return None;
         }
-        let memory_s = SETTINGS.memory_s.max(SETTINGS.memory_rows * row.seconds);
+        let memory_s = Settings::MEMORY_S.max(Settings::MEMORY_ROWS * row.seconds);
         let forgetting = (-row.seconds / memory_s).exp();
         let speed_v = plate.back_emf_v_s_per_rad * row.speed_rad_s;
         let (current_by, speed_by) = plate.uncertainty_v(row);
-        let floor_v = (SETTINGS.voltage_noise * self.scale.volts).hypot(0.5 * volts.width());
+        let floor_v = (Settings::VOLTAGE_NOISE * self.scale.volts).hypot(0.5 * volts.width());
         let noise = floor_v.hypot(current_by + speed_by);
         let factors = [sign * plate.current_v(row), speed_v, sign * row.current_a.signum()];
         self.voltage.add(forgetting, factors, volts.middle(), noise);
-        if row.speed_rad_s.abs() > SETTINGS.rest * self.scale.rad_s {
+        if row.speed_rad_s.abs() > Settings::REST * self.scale.rad_s {
             let acceleration = plate.inertia_kg_m2 * row.speed_change_rad_s / row.seconds;
             let friction = plate.friction_n_m * row.speed_rad_s.signum();
-            let floor = SETTINGS.torque_noise * plate.torque_n_m(self.scale.amps);
+            let floor = Settings::TORQUE_NOISE * plate.torque_n_m(self.scale.amps);
             let noise = floor.hypot(plate.mechanical_error(row.seconds) * acceleration);
             let torque = sign * plate.back_emf_v_s_per_rad * row.current_a;
             self.torque.add(forgetting, [acceleration, friction], torque, noise);
         }
         let ((r, r_std), (j, j_std)) = (self.voltage.first()?, self.torque.first()?);
-        let (r_by, j_by) = (SETTINGS.sigmas * r_std, SETTINGS.sigmas * j_std);
-        let any = SETTINGS.any_factor;
+        let (r_by, j_by) = (Settings::SIGMAS * r_std, Settings::SIGMAS * j_std);
+        let any = Settings::ANY_FACTOR;
         let large = r + r_by < any.low && j - j_by > any.high;
         let small = r - r_by > any.high && j + j_by < any.low;
         let reversed = r + r_by < 0.0 && j + j_by < 0.0;

@@ -4,16 +4,15 @@
 //! ```text
 //! voltage   u    = R i + L di/dt + Ke w        torque   Kt i = J dw/dt + Mc sign(w)        Kt = Ke
 //!
-//! live watch    last cycles, as ranges -------> Window: fits | misfits -> mirrored, plausible range      (balance.rs)
-//!               all rows of a run ------------> Factor: the current is read so many times too large      (factor.rs)
-//! first pulse   means at rest, in motion -----> Share of the nameplate: fits | refused | undetermined    (share.rs)
-//!  and stage    farthest current and speed ---> Sight: reversed, open, dead, locked                      (sight.rs)
-//! record        regressions over windows -----> Assignment: exchanged, reversed                          (assignment.rs)
-//! nameplate     estimates over nameplate -----> mistakes of units                                        (units.rs)
-//! readings equal to the bit ------------------> Repeats: frozen                                          (repeats.rs)
+//! live watch    last cycles, as ranges -----> Window: fits, misfits, mirrored; plausible range       (balance.rs)
+//!               rows of the whole run ------> Factor: the current is read so many times too large    (factor.rs)
+//!               readings equal to the bit --> Repeats: frozen                                        (repeats.rs)
+//! first pulse   steady states --------------> Plate: speed by voltage, current that turns a shaft    (balance.rs)
+//! record,       found over nameplate -------> Scaled: one sensor's factor explains all ratios        (scale.rs)
+//! nameplate
 //! ```
 //!
-//! What is to be believed has one set of thresholds, [`SETTINGS`].
+//! Who asks brings the samples and says what a verdict means there; the thresholds of all are [`Settings`].
 
 mod balance;
 mod factor;
@@ -27,4 +26,4 @@ pub use factor::Factor;
 pub use range::Range;
 pub use repeats::Repeats;
 pub use scale::{DEGREES, KEYS, Scaled, nearest, speed_units};
-pub use settings::{SETTINGS, Settings};
+pub use settings::Settings;

@@ -3,7 +3,7 @@
 //! The share `p` of repeats is taken at rest: it follows from noise, resolution and the rate at which the drive reads the
 //! sensor. A run of `n` repeats has the probability `p^n`.
 
-use super::SETTINGS;
+use super::Settings;
 
 /// The readings of one sensor.
 #[derive(Clone, Debug, Default)]
@@ -58,26 +58,26 @@ impl Repeats {
 
     /// Share of repeats at rest by Laplace's rule of succession, once it is known.
     fn share(&self) -> Option<f64> {
-        let known = self.rest >= SETTINGS.rest_readings && self.rest_same < self.rest;
+        let known = self.rest >= Settings::REST_READINGS && self.rest_same < self.rest;
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
     }
 
     /// Least length of a run that is not by chance; `None`: no noise at rest.
     pub fn needed(&self) -> Option<f64> {
-        let by_chance = SETTINGS.repeat_chance.ln() / self.share()?.ln();
-        let fewest = SETTINGS.fewest_repeats.max(3 * self.rest_longest);
+        let by_chance = Settings::REPEAT_CHANCE.ln() / self.share()?.ln();
+        let fewest = Settings::FEWEST_REPEATS.max(3 * self.rest_longest);
         Some(by_chance.max(fewest as f64))
     }
 
     /// A longer run than chance gives a sensor that was noisy at rest.
     pub fn is_stuck(&self) -> bool {
         let enough = self.needed().is_some_and(|n| self.run as f64 >= n);
-        enough && self.moving_run >= SETTINGS.fewest_repeats
+        enough && self.moving_run >= Settings::FEWEST_REPEATS
     }
 
     /// As `is_stuck`, of a sensor with noise of its own.
     pub fn is_silent(&self) -> bool {
-        self.is_stuck() && self.share().is_some_and(|share| share <= SETTINGS.seldom_repeats)
+        self.is_stuck() && self.share().is_some_and(|share| share <= Settings::SELDOM_REPEATS)
     }
 }
 

@@ -4,7 +4,7 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::{Bounds, Observation, RestWinding};
-use crate::belief::SETTINGS;
+use crate::belief::Settings;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
 
@@ -120,7 +120,7 @@ pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
     let against = |value: f64, volts: f64| value * volts < 0.0;
     // At its peak the current of a ramp, and that of the first steps, goes with the voltage; while braking it does not.
     let current_a = stage.current_at_peak_a;
-    if current_a.abs() > SETTINGS.clear_std * stage.noise_a
+    if current_a.abs() > Settings::CLEAR_STD * stage.noise_a
         && against(current_a, stage.peak_v)
         && !stage.moves()
     {
@@ -141,7 +141,7 @@ pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
 /// The safe voltage was reached and next to no current flowed.
 pub(super) fn no_current(stage: &Observation, share_a: f64) -> Ending {
     if let Some(measured_v) = stage.measured_at_peak_v
-        && measured_v.abs() < SETTINGS.left * stage.peak_v.abs()
+        && measured_v.abs() < Settings::LEFT * stage.peak_v.abs()
     {
         return Ending::NoOutput { commanded_v: stage.peak_v, measured_v };
     }
@@ -164,7 +164,7 @@ pub(super) fn no_motion(
     let ohm_now = (stage.peak_v / current_a).abs();
     // Only a turning shaft makes the ratio of voltage to current grow by a third against rest.
     if let Some(rest) = before
-        && ohm_now > (1.0 + SETTINGS.catalogue) * rest.resistance_ohm
+        && ohm_now > (1.0 + Settings::CATALOGUE) * rest.resistance_ohm
     {
         let back_emf_v = stage.peak_v.abs() - rest.resistance_ohm * current_a.abs();
         // Ten times what counts as motion by the rated values: then its absence is a finding.

@@ -264,13 +264,16 @@ impl Escalation {
         let line = format!("at rest, {}", observation.text());
         // Beyond the safe voltage only on a current that is not the largest of some hundred samples of noise.
         let flows = observation.peak_current_a.abs()
-            > (belief::SETTINGS.idle_current * rated_a)
-                .max(belief::SETTINGS.clear_std * observation.noise_a);
+            > (belief::Settings::IDLE_CURRENT * rated_a)
+                .max(belief::Settings::CLEAR_STD * observation.noise_a);
         if shows && flows || (self.last_v >= safe_v * 0.999 && self.rest.is_some() && flows) {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
-            return ended(ending::no_current(observation, belief::SETTINGS.idle_current * rated_a));
+            return ended(ending::no_current(
+                observation,
+                belief::Settings::IDLE_CURRENT * rated_a,
+            ));
         }
         // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
         let (least_v, most_v) = (1.2 * self.last_v, SETTINGS.growth * self.last_v);
@@ -293,7 +296,7 @@ impl Escalation {
             return (self.turn(), format!("it breaks away, {}", observation.text()));
         }
         let bounds = &self.bounds;
-        let reached_a = belief::SETTINGS.limiting_current * bounds.rated_current_a;
+        let reached_a = belief::Settings::LIMITING_CURRENT * bounds.rated_current_a;
         if let Some(ending) = ending::no_motion(observation, before, reached_a, bounds) {
             return ended(ending);
         }

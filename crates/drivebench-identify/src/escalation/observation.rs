@@ -59,7 +59,7 @@ impl Observation {
         let (offset_a, offset_rad_s) = (offset(&current), offset(&speed));
         // The mean at rest is known from finitely many samples as well.
         let spread = (1.0 / AVERAGED as f64 + 1.0 / speed.len().max(1) as f64).sqrt();
-        let motion_rad_s = (belief::SETTINGS.clear_std * noise_rad_s * spread)
+        let motion_rad_s = (belief::Settings::CLEAR_STD * noise_rad_s * spread)
             .max(5e-4 * bounds.speed_limit_rad_s);
         let amps = medians(&scenario.current_a, offset_a);
         let speeds = medians(&scenario.speed_rad_s, offset_rad_s);
@@ -115,7 +115,7 @@ impl Observation {
     pub(super) fn back_emf(&self, rest: Option<RestWinding>) -> (f64, f64) {
         let (u, i) = (self.voltage_of_motion_v.abs(), self.current_of_motion_a.abs());
         let w = self.mean_speed_rad_s.abs().max(f64::MIN_POSITIVE);
-        let speed_share = self.motion_rad_s / belief::SETTINGS.clear_std / w;
+        let speed_share = self.motion_rad_s / belief::Settings::CLEAR_STD / w;
         match rest {
             Some(rest) => {
                 let value = ((u - rest.resistance_ohm * i) / w).max(0.1 * u / w);

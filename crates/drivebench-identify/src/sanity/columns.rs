@@ -2,13 +2,11 @@
 
 use super::table::{Activity, Balances, Roles, Table};
 use super::{ColumnFault, Fault, Finding, Kind, Mapping};
+use crate::belief::Settings;
 use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
 const EXPLAINS: f64 = 0.35;
-/// Error of each balance up to which another assignment may be proposed: exchanged columns of a valid record have an
-/// error of some per cent, and of up to a sixth at a period near the mechanical time constant.
-const HOLDS_WELL: f64 = 0.2;
 
 pub(super) struct Assigned {
     /// Another assignment explains the data, the given one does not.
@@ -98,13 +96,14 @@ const fn left(found: &Balances) -> [f64; 2] {
 }
 
 impl Assignment {
-    /// Whether an assignment explains what the given one may not. An exchange has to explain both balances; a sign shows in the
+    /// Whether an assignment explains what the given one may not: exchanged columns of a valid record have an error of some
+    /// per cent, and of up to a sixth at a period near the mechanical time constant. An exchange has to explain both balances; a sign shows in the
     /// voltage's alone, also where a coarse speed leaves much of the torque's.
     fn holds_well(&self, found: &Balances) -> bool {
         let is_exchange = self.place != [0, 1, 2];
         found.is_physical()
-            && found.voltage_error < HOLDS_WELL
-            && (!is_exchange || found.torque_error < HOLDS_WELL)
+            && found.voltage_error < Settings::FAR
+            && (!is_exchange || found.torque_error < Settings::FAR)
     }
 
     fn roles<'a>(&self, table: &'a Table) -> Roles<'a> {

@@ -11,6 +11,7 @@ use super::sensor::{Sensor, is_same, runs_of, stops_suddenly, stretches};
 use super::stretches::FROZEN_ROWS;
 use super::table::span;
 use super::{CLOSE_S, Masked};
+use crate::belief::Settings;
 use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
 use drivebench_model::sample::{Channel, Run};
 
@@ -61,8 +62,6 @@ fn empty(run: &mut Run, channel: Channel, rows: impl IntoIterator<Item = usize>)
 
 /// Blocks of the very same value from which it is a code although its figures are none.
 const BLOCKS: usize = 3;
-/// Largest difference of equal values on both sides of a block, as a share of the range.
-const AGREE: f64 = 0.2;
 
 /// Whether a value is nines, or an end of what 8 to 32 bits can count, with the decimal point anywhere.
 fn is_figure(value: f64) -> bool {
@@ -112,7 +111,7 @@ fn extreme_code(run: &Run, channel: Channel, cells: &[f64], value: f64) -> Optio
     let is_figure = is_figure(value);
     let alone = blocks.iter().filter(|rows| {
         rows.len() <= 3
-            && stands_between(cells, rows, AGREE * range)
+            && stands_between(cells, rows, Settings::FAR * range)
             && input_stands(run, channel, rows)
     });
     let mostly_alone = blocks.len() >= BLOCKS && alone.count() as f64 >= 0.8 * blocks.len() as f64;
@@ -139,7 +138,7 @@ fn zeros(run: &Run, channel: Channel, cells: &[f64]) -> Option<Vec<usize>> {
         rows.len() == 1
             && neighbours(cells, rows)
                 .is_some_and(|(before, after)| before.abs().min(after.abs()) > clear)
-            && stands_between(cells, rows, AGREE * clear)
+            && stands_between(cells, rows, Settings::FAR * clear)
             && input_stands(run, channel, rows)
     });
     let fewest =
@@ -165,7 +164,7 @@ fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
     let mut columns = others.filter_map(|input| run.column(input));
     let changes = |cells: &[f64]| {
         let beside = rows.start.saturating_sub(2)..(rows.end + 1).min(cells.len());
-        span(&cells[beside]) > 0.1 * span(cells)
+        span(&cells[beside]) > Settings::CHANGES * span(cells)
     };
     !columns.any(changes)
 }

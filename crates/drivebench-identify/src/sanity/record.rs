@@ -7,7 +7,7 @@ use super::sensor::{Signal, is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
 use super::{CLOSE_S, Fault, Finding, Kind, Level, SignalFault};
-use crate::belief::SETTINGS;
+use crate::belief::Settings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
@@ -26,7 +26,8 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
         return vec![nothing_moves(&voltage, &current, &speed, duration_s)];
     }
     let mut findings = Vec::new();
-    let voltage_changes = voltage.is_there() && voltage.range() > 0.01 * voltage.largest();
+    let voltage_changes =
+        voltage.is_there() && voltage.range() > Settings::REST * voltage.largest();
     if current.is_constant() && voltage_changes && speed.moves {
         let fault = SignalFault::CurrentConstant {
             level_a: current.mean,
@@ -56,7 +57,7 @@ fn open_for_a_while(
     speed: &Activity,
 ) -> Option<Finding> {
     // A coarse sensor may alternate by one quantum at rest; by two the shaft turns slowly.
-    let clear = (CLEARLY * speed.largest()).max(3.0 * table.speed.quantum);
+    let clear = (Settings::FAR * speed.largest()).max(3.0 * table.speed.quantum);
     let coasts = |row: usize| {
         table.voltage_v[row].abs() <= 0.002 * voltage.largest()
             && table.speed_rad_s[row].abs() > clear
@@ -71,7 +72,7 @@ fn open_for_a_while(
     let rows: Vec<usize> = stretches.into_iter().filter(slows).flatten().collect();
     let currents: Vec<f64> = rows.iter().map(|row| table.current_a[*row].abs()).collect();
     let level_a = median(&currents);
-    if rows.is_empty() || level_a > SETTINGS.idle_current * current.largest() {
+    if rows.is_empty() || level_a > Settings::IDLE_CURRENT * current.largest() {
         return None;
     }
     let (from_s, rows) = (table.time_s[rows[0]], rows.len());
@@ -155,7 +156,9 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
         .filter(|&row| {
             let (before, at, after) = (values[row - 1], values[row], values[row + 1]);
             let nearest = (at - before).abs().min((at - after).abs());
-            range > 0.0 && (before - after).abs() <= 0.1 * range && nearest > ranges * range
+            range > 0.0
+                && (before - after).abs() <= Settings::CHANGES * range
+                && nearest > ranges * range
         })
         .collect();
     let first = *spikes.first()?;
@@ -176,8 +179,6 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
 
 /// Share of the largest value that counts as zero.
 const ROUNDING: f64 = 1e-9;
-/// Share of the largest voltage from which its direction counts.
-const CLEARLY: f64 = 0.2;
 
 /// One signal that contradicts itself: frozen for a while, cut off at a limit, or without its direction.
 pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
@@ -218,7 +219,7 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     let longest = longest.into_iter().max_by_key(Range::len)?;
     let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
     let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
-    let clear_v = CLEARLY * Activity::of(&table.voltage_v).largest();
+    let clear_v = Settings::FAR * Activity::of(&table.voltage_v).largest();
     let driven =
         table.voltage_v[longest.clone()].iter().filter(|volts| volts.abs() > clear_v).count();
     // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
@@ -236,12 +237,12 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
 fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     let (key, activity) = (watched.key, &watched.activity);
     let voltage = Activity::of(&table.voltage_v);
-    if !voltage.is_there() || activity.least < -SETTINGS.clear * activity.most {
+    if !voltage.is_there() || activity.least < -Settings::CLEAR * activity.most {
         return None;
     }
     // Where the voltage is clearly of one direction.
     let under = |direction: f64| -> Vec<f64> {
-        let clearly = CLEARLY * voltage.largest();
+        let clearly = Settings::FAR * voltage.largest();
         let rows = table
             .voltage_v
             .iter()
@@ -252,13 +253,15 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     let [ahead, astern] = [1.0, -1.0].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
     let astern_least = astern.iter().fold(f64::INFINITY, |least, x| least.min(x.abs()));
-    if astern_least > 0.1 * activity.largest() || ahead.len().min(astern.len()) < FROZEN_ROWS {
+    if astern_least > Settings::CHANGES * activity.largest()
+        || ahead.len().min(astern.len()) < FROZEN_ROWS
+    {
         return None;
     }
     let power =
         |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x) / values.len() as f64;
     let (forward, backward, astern) = (power(&ahead), power(&astern), astern.len());
-    (backward > 0.05 * forward).then(|| {
+    (backward > Settings::CLEAR * forward).then(|| {
         let (values, voltage) = (activity.extent(), table.voltage_key);
         let fault = SignalFault::SignLost { key, values, voltage, rows: astern };
         Finding::refusal(Kind::Unsigned, Fault::Signal(fault))
@@ -269,26 +272,24 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
 fn unsigned_voltage(table: &Table) -> Option<Finding> {
     let voltage = Activity::of(&table.voltage_v);
     let speed = Activity::of(&table.speed_rad_s);
-    if !(voltage.is_there() && speed.moves) || voltage.least < -SETTINGS.clear * voltage.most {
+    if !(voltage.is_there() && speed.moves) || voltage.least < -Settings::CLEAR * voltage.most {
         return None;
     }
     let rows = table.voltage_v.iter().zip(&table.speed_rad_s);
     let rows = rows
-        .filter(|(u, w)| **u > CLEARLY * voltage.most && **w < -CLEARLY * speed.largest())
+        .filter(|(u, w)| {
+            **u > Settings::FAR * voltage.most && **w < -Settings::FAR * speed.largest()
+        })
         .count();
     let share = rows as f64 / table.time_s.len().max(1) as f64;
-    let both = speed.most > CLEARLY * speed.largest() && speed.least < -CLEARLY * speed.largest();
-    (both && share > 0.1).then(|| {
+    let both = speed.most > Settings::FAR * speed.largest()
+        && speed.least < -Settings::FAR * speed.largest();
+    (both && share > Settings::CHANGES).then(|| {
         let (voltage, speeds_rad_s) = (table.voltage_key, speed.extent());
         let fault = SignalFault::VoltageSignLost { voltage, speeds_rad_s, rows };
         Finding::refusal(Kind::Unsigned, Fault::Signal(fault))
     })
 }
-
-/// Share of the range within which the jump of an overflow begins and ends at the two ends.
-const AT_THE_END: f64 = 0.2;
-/// Usual step, as a share of the range, below which a jump is none of the signal's own.
-const SMOOTH: f64 = 0.05;
 
 /// A signal that jumps from one end of its range to the other where nothing drives it: a counter that overflows to the other
 /// sign.
@@ -306,19 +307,19 @@ fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -
     let range = most - least;
     let pairs = values.windows(2);
     let sizes: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
-    let is_end = |value: f64| (value - least).min(most - value) < AT_THE_END * range;
+    let is_end = |value: f64| (value - least).min(most - value) < Settings::FAR * range;
     let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
     let jumps: Vec<usize> =
         (1..values.len()).filter(|row| sizes[row - 1] > 0.7 * range && ends(row)).collect();
     let is_coarse = quantum <= 0.0 || range < 20.0 * quantum;
-    if jumps.len() < 3 || is_coarse || median(&sizes) > SMOOTH * range {
+    if jumps.len() < 3 || is_coarse || median(&sizes) > Settings::CLEAR * range {
         return None;
     }
     let voltage = &table.voltage_v;
     let stands = |row: &&usize| {
         let beside = row.saturating_sub(2)..(**row + 2).min(voltage.len());
         let moved = span(&voltage[beside]);
-        moved.is_infinite() || moved <= AT_THE_END * span(voltage)
+        moved.is_infinite() || moved <= Settings::FAR * span(voltage)
     };
     // Most jumps occur at a constant input.
     let uncaused = jumps.iter().filter(stands).count();
@@ -332,7 +333,7 @@ fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -
             .flatten()
             .filter_map(|step| sizes.get(step))
             .copied();
-        sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(SMOOTH * range)
+        sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(Settings::CLEAR * range)
     });
     let period = median(&period.collect::<Vec<f64>>());
     // The step is exact and the jump known to some per cent: a whole number of bits goes before the jump itself.

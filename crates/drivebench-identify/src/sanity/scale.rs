@@ -5,7 +5,7 @@ use std::f64::consts::TAU;
 
 use super::table::{Activity, Balances, Coefficient, Roles, Table, back_emf_without_current};
 use super::{Basis, Evidence, Fault, Finding, Kind, UnitFault};
-use crate::belief::{DEGREES, Range, SETTINGS, Scaled, nearest, speed_units};
+use crate::belief::{DEGREES, Range, Scaled, Settings, nearest, speed_units};
 use crate::claims::OF_BACK_EMF as OF_SPEED;
 use drivebench_model::numerics::statistics::{largest, median, robust_deviation};
 use drivebench_model::plant::{Model, MotorKey};
@@ -166,10 +166,10 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
     let explains = |scaled: Scaled, factor: f64| {
         let within = |key| match (key, scaled) {
             // Resistances within this ratio may be those of one winding, hot and cold, with its cable.
-            (MotorKey::Resistance, _) => SETTINGS.any_factor.high.ln(),
+            (MotorKey::Resistance, _) => Settings::ANY_FACTOR.high.ln(),
             // A current shows in the resistance; a back-EMF constant need only be that of another specimen.
-            (_, Scaled::Current) => SETTINGS.flux_factor.high.ln(),
-            _ => SETTINGS.unit,
+            (_, Scaled::Current) => Settings::FLUX_FACTOR.high.ln(),
+            _ => Settings::UNIT,
         };
         scaled.explains(factor, ratio_of, within).is_some()
     };
@@ -202,7 +202,7 @@ fn against_nameplate(found: f64, given: f64, windings: Option<(f64, f64)>) -> Op
     }
     // Two motors of one winding within this ratio are one, more or less magnetised.
     let is_far = !(1.0 / 1.5..1.5).contains(&ratio);
-    let is_like = winding.is_some_and(|ratio| SETTINGS.any_factor.gap(Range::at(ratio)) <= 0.0);
+    let is_like = winding.is_some_and(|ratio| Settings::ANY_FACTOR.gap(Range::at(ratio)) <= 0.0);
     (is_far && is_like).then(|| {
         Finding::caution(Kind::Unit, &OF_SPEED, Fault::Unit(UnitFault::Gear { evidence, ratio }))
     })
@@ -215,7 +215,7 @@ fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let power: f64 = both.clone().map(|(_, i)| i * i).sum();
     let n_m_per_a = both.map(|(t, i)| t * i).sum::<f64>() / power;
     let ratio = n_m_per_a / back_emf;
-    let unit = nearest(ratio, &speed_units(), SETTINGS.unit)?;
+    let unit = nearest(ratio, &speed_units(), Settings::UNIT)?;
     Some(not_rad_s(unit, Evidence::Torque { n_m_per_a, back_emf }))
 }
 

@@ -4,6 +4,7 @@
 use std::ops::Range;
 
 use super::table::Table;
+use crate::belief::Settings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares::fit_normal;
 use drivebench_model::numerics::statistics::{
@@ -182,7 +183,7 @@ impl Expected {
         left.sort_by(f64::total_cmp);
         let error = left[whole(0.9 * (left.len() - 1) as f64)];
         let (least, most) = extent(finite(own));
-        (error < 0.2 * (most - least)).then_some(Self { values, error })
+        (error < Settings::FAR * (most - least)).then_some(Self { values, error })
     }
 
     /// By how much a row is expected away from `value`, where that is beyond three errors, five deviations of a normal one, and

@@ -8,16 +8,13 @@ use std::ops::Range;
 use super::sensor::{Expected, Sensor, Signal, is_same, runs_of, stops_suddenly, stretches};
 use super::table::{Activity, Table};
 use super::{Fault, Finding, Kind, SignalFault};
+use crate::belief::Settings;
 use drivebench_model::numerics::statistics::finite;
 
 /// Rows of one and the same value from which a live signal may count as frozen.
 pub(super) const FROZEN_ROWS: usize = 20;
-/// Change of another signal during the same rows, as a share of its range.
-const MEANWHILE: f64 = 0.1;
 /// Rows at the very same extreme value that make a plateau.
 const PLATEAU_ROWS: usize = 3;
-/// Smallest jump, as a share of the range.
-const JUMP: f64 = 0.1;
 
 /// A measured signal beside the others.
 pub(super) struct Watched<'a> {
@@ -62,7 +59,7 @@ impl<'a> Watched<'a> {
     fn is_frozen(&self, rows: &Range<usize>) -> bool {
         let moved = [self.other, &self.table.voltage_v].iter().any(|other| {
             let part = Activity::of(&other[rows.clone()]);
-            part.moves && part.range() > MEANWHILE * Activity::of(other).range()
+            part.moves && part.range() > Settings::CHANGES * Activity::of(other).range()
         });
         if !moved {
             return false;
@@ -86,11 +83,11 @@ impl<'a> Watched<'a> {
         let (activity, range) = (&self.activity, self.activity.range());
         let pairs = || present.windows(2).map(|pair| (pair[0], pair[1]));
         // At rest every signal is constant.
-        let lively = pairs().filter(|(_, b)| b.abs() > JUMP * activity.largest());
+        let lively = pairs().filter(|(_, b)| b.abs() > Settings::CHANGES * activity.largest());
         let equal = lively.clone().filter(|(a, b)| is_same(*a, *b)).count();
         let jumps: Vec<f64> =
             pairs().map(|(a, b)| (b - a).abs()).filter(|jump| *jump > 0.0).collect();
-        let large = jumps.iter().filter(|jump| **jump > JUMP * range).count();
+        let large = jumps.iter().filter(|jump| **jump > Settings::CHANGES * range).count();
         let stands = equal as f64 > 0.8 * lively.count() as f64;
         let is_held = stands && large >= 3 && 2 * large > jumps.len();
         (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
@@ -119,7 +116,7 @@ impl<'a> Watched<'a> {
             let settled = rows.start + PLATEAU_ROWS..rows.end - PLATEAU_ROWS;
             others.iter().zip(ranges).any(|(other, range)| {
                 let part = Activity::of(&other[settled.clone()]);
-                part.is_there() && part.range() > MEANWHILE * range
+                part.is_there() && part.range() > Settings::CHANGES * range
             })
         };
         2 * still.iter().filter(moves).count() > still.len()

@@ -6,6 +6,7 @@
 use std::ops::Range;
 
 use super::sensor::Sensor;
+use crate::belief::Settings;
 use crate::window_sums::{Sums, WINDOW_RESPONSES, trapezoid, windows};
 use drivebench_model::numerics::count;
 use drivebench_model::numerics::least_squares::fit_normal;
@@ -328,7 +329,7 @@ pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient>
 
 fn sums(roles: &Roles<'_>) -> Vec<Sums> {
     // Speeds below this have no direction.
-    let zone = 0.05 * largest(roles.speed);
+    let zone = Settings::CLEAR * largest(roles.speed);
     let [current, speed] = roles.signs;
     let signed = |window: &Range<usize>| {
         let voltage = trapezoid(roles.time_s, roles.voltage, window);
