@@ -6,11 +6,11 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 29_900),
+    ("crates/drivebench-bench", 29_150),
     ("crates/drivebench-control", 6_690),
     ("crates/drivebench-diagnose", 21_200),
     ("crates/drivebench-emulator", 12_470),
-    ("crates/drivebench-identify", 22_970),
+    ("crates/drivebench-identify", 23_760),
     ("crates/drivebench-link", 16_350),
     ("crates/drivebench-model", 16_400),
     ("crates/drivebench-studies", 10_200),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 710;
+const MOST_NUMERIC_CONSTANTS: usize = 725;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];
