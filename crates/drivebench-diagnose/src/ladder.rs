@@ -118,7 +118,7 @@ impl Bench {
         inference: &Inference,
     ) -> Result<Option<&'static str>, FitError> {
         let with = beside(&baseline.model, inference, &inference.named)?;
-        let held_out = |model: &Model| self.held_out(&self.fit(model)?.model);
+        let held_out = |model: &Model| Some(self.held_out(&self.fit(model).ok()?.model).ok()?.nrms);
         for id in &inference.named {
             let Some(limit) = effect::find(id).and_then(|effect| effect.card().limit) else {
                 continue;
@@ -127,7 +127,9 @@ impl Bench {
             if !simpler.has(limit.simpler) {
                 simpler = simpler.with_effect(limit.simpler)?;
             }
-            if held_out(&simpler)?.nrms <= AS_GOOD * held_out(&with)?.nrms {
+            if let Some((plain, lagged)) = held_out(&simpler).zip(held_out(&with))
+                && plain <= AS_GOOD * lagged
+            {
                 return Ok(Some(id));
             }
         }
