@@ -403,6 +403,8 @@ mod driven {
         time_s: f64,
         speed_rad_s: f64,
         angle_rad: f64,
+        /// States of the effects, one each at the most.
+        own: Vec<[f64; 1]>,
     }
 
     impl Shaft {
@@ -412,6 +414,7 @@ mod driven {
             let effects = machine.effects.iter();
             let terms = effects.map(|active| active.effect.terms(&active.values_or_guess()));
             let terms: Vec<_> = terms.collect();
+            self.own.resize(terms.len(), [0.0]);
             for _ in 0..STEPS {
                 let at = Instant {
                     time_s: self.time_s,
@@ -422,12 +425,17 @@ mod driven {
                     ..Instant::default()
                 };
                 let (mut net, mut level) = (drive_n_m - disturbance_n_m, 0.35);
-                for terms in &terms {
-                    net -= terms.torque_n_m(&at, &[]);
+                let mut inertia = 0.0045;
+                for (terms, own) in terms.iter().zip(&mut self.own) {
+                    net -= terms.torque_n_m(&at, own);
                     level += terms.friction_n_m(&at);
+                    inertia += 0.0045 * terms.inertia_gain(&at);
+                    let mut rate = [0.0];
+                    terms.derivative(&at, own, &mut rate);
+                    own[0] += h * rate[0];
                 }
-                let stopping = h * level / 0.0045;
-                let free = self.speed_rad_s + h * net / 0.0045;
+                let stopping = h * level / inertia;
+                let free = self.speed_rad_s + h * net / inertia;
                 // Friction takes what it can, and no more than the speed.
                 self.speed_rad_s = free.signum() * (free.abs() - stopping).max(0.0);
                 self.angle_rad += h * self.speed_rad_s;
@@ -516,6 +524,26 @@ mod driven {
     #[test]
     fn two_effects_are_named_where_only_the_angle_is_measured() {
         finds_both(BY_ANGLE, 6..9);
+    }
+
+    #[test]
+    fn a_lag_and_a_change_of_the_inertia_are_not_named_as_what_resembles_them() {
+        let hidden: [(&str, &[f64]); 3] = [
+            ("lagged_drag", &[4e-3, 0.3]),
+            ("lagged_load", &[6e-5, 0.4]),
+            ("inertia_change", &[0.25, 8.0]),
+        ];
+        for (seed, bench) in [(20, BY_TORQUE), (21, BY_CURRENT)] {
+            for (id, values) in hidden {
+                let found = named(&[(id, values)], bench, seed);
+                assert_eq!(names(&found), [id], "{seed}: {}", sentence(&found));
+                let size = candidate(&found, id).parameters[0].value.unwrap();
+                assert!((size / values[0] - 1.0).abs() < 0.15, "{seed} {id}: {size}");
+            }
+        }
+        // A drag without a lag has none.
+        let found = named(&[("viscous_friction", &[1e-3])], BY_TORQUE, 22);
+        assert_eq!(names(&found), ["viscous_friction"], "{}", sentence(&found));
     }
 
     #[test]
