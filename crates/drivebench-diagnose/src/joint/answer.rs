@@ -201,6 +201,11 @@ impl Inference {
         reasons.into_iter().find_map(|(holds, why)| holds.then_some(why))
     }
 
+    /// Leaves a named effect and the simpler one that is its limit undistinguished.
+    pub(crate) fn share_with_limit(&mut self, [limited, simpler]: [&'static str; 2]) {
+        share_at_limit([simpler, limited], &mut self.effects, &mut self.confusable);
+    }
+
     /// Excludes an effect from the named ones. Its posterior is no longer that of a confirmed model; of a search that was cut it is the
     /// mean with the prior already.
     pub(crate) fn veto(&mut self, veto: Veto) {
