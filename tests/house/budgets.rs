@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_150),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 21_200),
+    ("crates/drivebench-diagnose", 21_250),
     ("crates/drivebench-emulator", 12_470),
     ("crates/drivebench-identify", 23_760),
     ("crates/drivebench-link", 16_350),
