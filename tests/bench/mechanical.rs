@@ -544,6 +544,8 @@ mod driven {
         // A drag without a lag has none.
         let found = named(&[("viscous_friction", &[1e-3])], BY_TORQUE, 22);
         assert_eq!(names(&found), ["viscous_friction"], "{}", sentence(&found));
+        assert_ne!(status(&found, "lagged_drag"), Status::Supported);
+        assert!(found.candidates.iter().any(|own| own.effect == "lagged_load"), "it is listed");
     }
 
     #[test]

@@ -127,7 +127,7 @@ mod tests {
     fn the_values_are_those_of_the_motor_at_either_rate() {
         for (period_s, seed) in [(0.001, 1), (0.01, 2)] {
             let run = run(&motor(1.5, 0.30), period_s, seed);
-            // Whatever the nameplate says of the mechanics.
+            // Whatever inertia and friction the nameplate has.
             for (inertia_ratio, load_n_m) in [(1.0, 0.455), (5.0, 0.0), (0.2, 2.0)] {
                 let mut start = nameplate();
                 start.motor.set(MotorKey::Inertia, 0.0045 * inertia_ratio);

@@ -36,7 +36,7 @@ const BALANCE_SIGNIFICANT_SIGMAS: f64 = 2.0;
 /// Ratio of the held-out errors from which on parameters from prediction errors do not predict another run.
 pub(super) const AS_GOOD: f64 = 1.02;
 /// The same of a torque balance without a lag and with it, from which on the lag is named. Where a torque drives, a lag also absorbs
-/// errors of the inertia and of the instants of the torque: beside machines without one (four foreign fans, a geared arm, two real
+/// errors of the inertia and of the instants of the torque: of machines without one (four foreign fans, a geared arm, two real
 /// servos) the ratio is 1.00 to 1.16, of twelve with one 1.26 to 6.
 const WORTH_A_LAG: f64 = 1.3;
 
@@ -45,14 +45,14 @@ struct Lag {
     /// The effect and its limit without a lag.
     pair: [&'static str; 2],
     /// Whether the model has its limit too.
-    is_beside: bool,
+    has_limit: bool,
     /// Ratio of the held-out errors with the limit in its place and with the lag.
     worth: f64,
 }
 
 impl Lag {
     fn is_needless(&self) -> bool {
-        self.worth <= if self.is_beside { WORTH_A_LAG } else { AS_GOOD }
+        self.worth <= if self.has_limit { WORTH_A_LAG } else { AS_GOOD }
     }
 }
 
@@ -116,15 +116,16 @@ impl Bench {
         eligible: &[&'static dyn Effect],
         progress: Progress<'_>,
     ) -> Result<Inference, FitError> {
-        let mut eligible = eligible.to_vec();
+        let mut needless: Vec<&'static str> = Vec::new();
         loop {
-            let mut inference = infer(baseline, &self.given, &eligible, &self.evidence, progress)?;
+            let (given, evidence) = (&self.given, &self.evidence);
+            let mut inference = infer(baseline, given, eligible, &needless, evidence, progress)?;
             if !self.fits_at_once() {
                 return Ok(inference);
             }
             let lags = self.lags(baseline, &inference)?;
-            if let Some(needless) = lags.iter().find(|lag| lag.is_needless()) {
-                eligible.retain(|effect| effect.card().id != needless.pair[0]);
+            if let Some(lag) = lags.iter().find(|lag| lag.is_needless()) {
+                needless.push(lag.pair[0]);
                 continue;
             }
             let open = lags.iter().filter(|lag| lag.worth < WORTH_A_LAG);
@@ -134,22 +135,23 @@ impl Bench {
         }
     }
 
-    /// The named effects that have a simpler one as their limit, with what they are worth beside it.
+    /// The named effects that have a simpler one as their limit, with the ratio of the errors of both.
     fn lags(&self, baseline: &Fitted, inference: &Inference) -> Result<Vec<Lag>, FitError> {
         let with = beside(&baseline.model, inference, &inference.named)?;
         let held_out = |model: &Model| Some(self.held_out(&self.fit(model).ok()?.model).ok()?.nrms);
         let mut lags = Vec::new();
-        for id in inference.named.iter().copied() {
+        let new = inference.named.iter().copied().filter(|id| !baseline.model.has(id));
+        for id in new {
             let Some(limit) = effect::find(id).and_then(|effect| effect.card().limit) else {
                 continue;
             };
             let mut plain = with.without_effect(id)?;
-            let is_beside = plain.has(limit.simpler);
-            if !is_beside {
+            let has_limit = plain.has(limit.simpler);
+            if !has_limit {
                 plain = plain.with_effect(limit.simpler)?;
             }
             if let Some((plain, lagged)) = held_out(&plain).zip(held_out(&with)) {
-                lags.push(Lag { pair: [id, limit.simpler], is_beside, worth: plain / lagged });
+                lags.push(Lag { pair: [id, limit.simpler], has_limit, worth: plain / lagged });
             }
         }
         Ok(lags)
@@ -652,7 +654,7 @@ fn along(run: &Scenario, model: &Model) -> Result<(Fitted, Led), FitError> {
     let fit = Fitted::from(fit);
     let own: Vec<&'static dyn Effect> = model.effects.iter().map(|active| active.effect).collect();
     let (searched, _) = evidence.shortened();
-    let noise = infer(&fit, model, &own, &searched, &silent)?.noise;
+    let noise = infer(&fit, model, &own, &[], &searched, &silent)?.noise;
     Ok(led(fit, run, noise, true))
 }
 

@@ -19,17 +19,10 @@ use serde::Serialize;
 use drivebench::emulator::truth::{MotorTruth, Plant, Terminals};
 use drivebench::identification::{scheme, stamps};
 use drivebench::numerics::statistics::median;
-use drivebench::plant::{Model, Motor, MotorKey, Scenario};
+use drivebench::plant::{Model, Motor, Scenario};
 use drivebench::sample::{Channel, Origin, ParameterEstimate, Run, Verdict};
 
-/// R, L, Ke, J, Mc.
-pub const KEYS: [MotorKey; 5] = [
-    MotorKey::Resistance,
-    MotorKey::Inductance,
-    MotorKey::BackEmf,
-    MotorKey::Inertia,
-    MotorKey::LoadTorque,
-];
+pub use drivebench::identification::belief::KEYS;
 
 /// Everything that a host's record can suffer from, but for what happens to replies.
 pub const ALL_ERRORS: Errors = Errors {

@@ -209,7 +209,7 @@ impl Plausibility {
         let [volts, current, speed] = window.mean;
         let is_ignored = self.symptoms.last_fit.is_some_and(|(last_v, response)| {
             let step = (volts - last_v).abs();
-            step > 2.0 * drop_v && (current + speed - response).abs() < Settings::LEFT * step
+            step > 2.0 * drop_v && (current + speed - response).abs() < Settings::UNEXPLAINED * step
         });
         let last = *self.history.last()?;
         let drives_back = speed * volts < 0.0 && current * volts.signum() >= -drop_v;

@@ -43,8 +43,9 @@ impl Plausibility {
             self.latest(Settings::MOST_ROWS).map_while(both_ways).collect();
         let (as_read, exchanged) = *misfits.first()?;
         // Every row that does not fit as read has to fit when exchanged.
-        let explains =
-            |(as_read, exchanged): &(f64, f64)| *exchanged < floor.min(Settings::LEFT * as_read);
+        let explains = |(as_read, exchanged): &(f64, f64)| {
+            *exchanged < floor.min(Settings::UNEXPLAINED * as_read)
+        };
         let all = misfits.iter().filter(|(as_read, _)| *as_read > floor).all(explains);
         if as_read <= floor || !all {
             return None;
@@ -185,7 +186,7 @@ impl Plausibility {
         let agreement = self.symptoms.agreement.as_mut()?;
         let moved = set_point.gap(Range::at(agreement.set_point_v));
         let stays = moved > 1.5 * Settings::DROP * self.scale.volts
-            && (value - agreement.measured_v).abs() < Settings::LEFT * moved;
+            && (value - agreement.measured_v).abs() < Settings::UNEXPLAINED * moved;
         if is_limited || !stays {
             agreement.stuck_since_s = None;
             return None;

@@ -284,12 +284,16 @@ pub(crate) fn eligible(
     eligible
 }
 
-/// Posterior of the sets of eligible effects on fit run and hold-out together, searched from `baseline`, which was fitted from
-/// `before`.
+/// Why a lag that predicts no better than its limit is not judged.
+const NEEDLESS_LAG: &str = "without its lag it predicts the hold-out as well: this run distinguishes no lag of the load from an error of the inertia";
+
+/// Posterior of the sets of eligible effects but the `needless` ones on fit run and hold-out together, searched from `baseline`,
+/// which was fitted from `before`.
 pub(crate) fn infer(
     baseline: &Fitted,
     before: &Model,
     eligible: &[&'static dyn Effect],
+    needless: &[&'static str],
     evidence: &Evidence,
     progress: Progress<'_>,
 ) -> Result<Inference, FitError> {
@@ -317,11 +321,15 @@ pub(crate) fn infer(
         has_floor: known,
         work: &work,
     };
-    let found = search::search(models, eligible, together, noise, progress)
+    let is_needless = |effect: &dyn Effect| needless.contains(&effect.card().id);
+    let mut searched = eligible.to_vec();
+    searched.retain(|effect| !is_needless(*effect));
+    let found = search::search(models, &searched, together, noise, progress)
         .ok_or_else(|| cannot_simulate(&evidence.training))?;
     let inferred = |effect: &&'static dyn Effect| Inferred {
         given: given.contains(&effect.card().id),
-        why_not: why_not(*effect, &runs[0]),
+        why_not: why_not(*effect, &runs[0])
+            .or_else(|| is_needless(*effect).then_some(NEEDLESS_LAG)),
         ..Inferred::of(*effect, &found)
     };
     let mut effects: Vec<Inferred> = eligible.iter().map(inferred).collect();

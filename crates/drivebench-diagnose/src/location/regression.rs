@@ -153,7 +153,7 @@ pub(super) struct Fit {
     pub noise: f64,
     /// Windows beyond the own parameters.
     spare: f64,
-    beside: Beside,
+    partial: Partial,
     blocks: Vec<usize>,
 }
 
@@ -180,9 +180,9 @@ impl Fit {
     }
 
     fn covariance(&self) -> DMatrix<f64> {
-        let Beside { columns, left, bread, .. } = &self.beside;
+        let Partial { columns, remainder, bread, .. } = &self.partial;
         let known = vec![true; columns.ncols()];
-        least_squares::clustered(columns, left, &self.blocks, bread.clone(), &known)
+        least_squares::clustered(columns, remainder, &self.blocks, bread.clone(), &known)
     }
 }
 
@@ -263,8 +263,8 @@ impl<'a> Regression<'a> {
         let base = DMatrix::from_fn(n, own, |row, at| window(row).own(self.equation)[at]);
         let errors = DVector::from_fn(n, |row, _| self.each[used[row]].1);
         let columns = DMatrix::from_fn(n, added, |row, at| rows[used[row]][at]);
-        let fit = beside(&base, &columns, &errors);
-        let (power, unexplained) = (fit.residual.norm_squared(), fit.left.norm_squared());
+        let fit = partial_regression(&base, &columns, &errors);
+        let (power, unexplained) = (fit.residual.norm_squared(), fit.remainder.norm_squared());
         if power <= 0.0 {
             return None;
         }
@@ -277,7 +277,7 @@ impl<'a> Regression<'a> {
         let beyond = (power - noise).max(LEAST_BEYOND_SHARE * power);
         let mut fitted = vec![f64::NAN; rows.len()];
         for (at, row) in used.iter().enumerate() {
-            fitted[*row] = errors[at] - fit.left[at];
+            fitted[*row] = errors[at] - fit.remainder[at];
         }
         let begin_s = window(0).time_s;
         let shortest = (window(n - 1).time_s - begin_s) / (SETTINGS.blocks_each_column * (k + 2.0));
@@ -293,7 +293,7 @@ impl<'a> Regression<'a> {
             coefficients: fit.coefficients.clone(),
             fitted,
             spare,
-            beside: fit,
+            partial: fit,
         })
     }
 
@@ -390,23 +390,23 @@ impl<'a> Regression<'a> {
     }
 }
 
-/// Least squares on columns beside others.
-pub(super) struct Beside {
+/// Partial regression: least squares on columns of which the others explain a part.
+pub(super) struct Partial {
     pub coefficients: DVector<f64>,
-    /// Columns and errors without what the others explain, and what is left of these.
+    /// Columns and errors without what the others explain, and the residual of both.
     columns: DMatrix<f64>,
     residual: DVector<f64>,
-    left: DVector<f64>,
+    remainder: DVector<f64>,
     /// `(X'X)^-1`, without the canonical variates that the others explain nearly as well: those stay at zero.
     bread: DMatrix<f64>,
 }
 
 /// Regression of errors on columns after `others` are partialled out.
-pub(super) fn beside(
+pub(super) fn partial_regression(
     others: &DMatrix<f64>,
     columns: &DMatrix<f64>,
     errors: &DVector<f64>,
-) -> Beside {
+) -> Partial {
     let (inverse, _) = least_squares::inverse_where_determined(others);
     let residual = errors - others * (&inverse * others.tr_mul(errors));
     let spectral = |matrix: DMatrix<f64>, of: &dyn Fn(f64) -> f64| {
@@ -421,8 +421,8 @@ pub(super) fn beside(
     let kept = |tolerance| if tolerance > LEAST_TOLERANCE { 1.0 / tolerance } else { 0.0 };
     let bread = &root * spectral(tolerances, &kept) * &root;
     let coefficients = &bread * columns.tr_mul(&residual);
-    let left = &residual - &columns * &coefficients;
-    Beside { coefficients, columns, residual, left, bread }
+    let remainder = &residual - &columns * &coefficients;
+    Partial { coefficients, columns, residual, remainder, bread }
 }
 
 /// Least share of a combination of columns that the own parameters must leave.

@@ -17,7 +17,7 @@ use std::f64::consts::TAU;
 use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::regression::beside;
+use super::regression::partial_regression;
 use super::windows::{FEWEST_HALF, Window, Windows};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
@@ -169,7 +169,7 @@ fn steady_speed(windows: &Windows<'_>, window: &Window, width: f64) -> Option<f6
     (one_way && variance.sqrt() < STEADY_SHARE * width).then_some(mean)
 }
 
-/// Takes what depends on the speed out of torques over a turn: a line over the speed of each direction, beside the bins.
+/// Takes what depends on the speed out of torques over a turn: a line over the speed of each direction, fitted with the bins.
 fn take_friction_out(found: &mut [WindowTorque], bins: &[MapBin]) {
     let width = bins[0].to - bins[0].from;
     let bin_of = |found: &WindowTorque| whole((found.place / width).floor()).min(bins.len() - 1);
@@ -181,7 +181,7 @@ fn take_friction_out(found: &mut [WindowTorque], bins: &[MapBin]) {
     let in_bin = |row: usize, bin| f64::from(u8::from(bin_of(&found[row]) == bin));
     let columns = DMatrix::from_fn(found.len(), bins.len(), in_bin);
     let torques = DVector::from_fn(found.len(), |row, _| found[row].torque_n_m);
-    let of_bins = beside(&lines, &columns, &torques);
+    let of_bins = partial_regression(&lines, &columns, &torques);
     let wave = &columns * of_bins.coefficients;
     let (inverse, _) = least_squares::inverse_where_determined(&lines);
     let friction = &lines * (inverse * lines.tr_mul(&(torques - wave)));

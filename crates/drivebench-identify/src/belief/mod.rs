@@ -12,7 +12,7 @@
 //! nameplate
 //! ```
 //!
-//! Who asks brings the samples and says what a verdict means there; the thresholds of all are [`Settings`].
+//! The caller supplies the samples and acts on the verdict; all thresholds are in [`Settings`].
 
 mod balance;
 mod factor;

@@ -11,7 +11,7 @@ impl Settings {
     /// Rows of a window where the drive stamps its samples, and at the most: a fault has to be found in time.
     pub const STAMPED_ROWS: usize = 3;
     pub const MOST_ROWS: usize = 20;
-    /// Longest time between the two samples of a row, s: over a longer one a mean of the two says nothing.
+    /// Longest time between the two samples of a row, s: over a longer one a mean of the two is no measurement.
     pub const LONGEST_ROW_S: f64 = 0.5;
     /// Consecutive windows that have to disagree: one may hold a disturbance.
     pub const CONFIRMING_WINDOWS: usize = 2;
@@ -38,8 +38,8 @@ impl Settings {
     /// Of the range of a record's signal: a change that counts as one, and what is clearly away, which no noise and no drift is.
     pub const CHANGES: f64 = 0.1;
     pub const FAR: f64 = 0.2;
-    /// Part of a contradiction that may be left by what explains it, and of a change by what follows it.
-    pub const LEFT: f64 = 0.25;
+    /// Share of a contradiction that its explanation may leave unexplained, and of a change that its response may.
+    pub const UNEXPLAINED: f64 = 0.25;
     /// Deviation of a controlled quantity from its set-point, and its change between two samples of a steady state, share.
     pub const FOLLOWS: f64 = 0.1;
     /// Change of its set-point in a steady state, share: a loop gives several volts for each ampere.

@@ -141,7 +141,7 @@ pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
 /// The safe voltage was reached and next to no current flowed.
 pub(super) fn no_current(stage: &Observation, share_a: f64) -> Ending {
     if let Some(measured_v) = stage.measured_at_peak_v
-        && measured_v.abs() < Settings::LEFT * stage.peak_v.abs()
+        && measured_v.abs() < Settings::UNEXPLAINED * stage.peak_v.abs()
     {
         return Ending::NoOutput { commanded_v: stage.peak_v, measured_v };
     }
