@@ -5,9 +5,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::DriveProfile;
+use super::framing::FrameKind;
 use super::modbus::ModbusBus;
 use super::register_bus::{ReadRequest, RegisterBus};
-use super::reply::FrameKind;
 use super::scripted::{Delayed, Scripted, frame};
 use super::transaction::StopRequest;
 use super::virtual_line::{modbus_link, paused};

@@ -8,7 +8,7 @@
 //!                  |            |             burst.rs: samples recorded in the drive
 //!          reply_filter.rs  port.rs       bytes, silence, hang-up
 //!                  |
-//!              transaction.rs + reply.rs    which bytes answer this request; proof.rs: whether the line is in step
+//!              exchange.rs (gap, proof, deadline), transaction.rs + framing/ (which bytes answer this request), proof.rs (whether the line is in step)
 //!                  +-- unexpected.rs (what came instead, and the way on)
 //!                  +-- link_core.rs (statistics, time axis, stop), timing.rs (deadlines, gaps), waiting.rs (real or virtual)
 //!                  +-- virtual_line.rs (a line in memory: the same bytes without the waiting)
@@ -29,6 +29,8 @@ mod budget;
 pub mod burst;
 mod command_times;
 mod exceptions;
+mod exchange;
+mod framing;
 mod link;
 mod link_core;
 mod link_error;
@@ -44,7 +46,6 @@ mod proof;
 mod register_bus;
 pub mod register_map;
 mod reopen;
-mod reply;
 mod reply_filter;
 #[cfg(test)]
 mod scripted;

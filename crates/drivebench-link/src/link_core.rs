@@ -92,49 +92,49 @@ impl LinkCore {
     }
 }
 
-/// Methods of [`DriveLink`](super::DriveLink) that the links of our own drive share: over `core`, `stop_once`, and the lengths
+/// Methods of [`DriveLink`](super::DriveLink) that the links of our own drive share: over their core, `stop_once`, and the lengths
 /// of a command and its telemetry.
 macro_rules! own_link {
-    () => {
+    ($($core:ident).+) => {
         fn name(&self) -> LinkName {
-            LinkName(self.core.name.clone())
+            LinkName(self.$($core).+.name.clone())
         }
 
         fn stop(&mut self) -> Result<()> {
-            let (stop, name) = (self.core.stop_command(), self.core.name.clone());
+            let (stop, name) = (self.$($core).+.stop_command(), self.$($core).+.name.clone());
             let mut is_sent = false;
             let stopped = stop_confirmed(&name, || {
                 let answer = self.stop_once(stop);
-                is_sent |= !self.core.is_unsent;
+                is_sent |= !self.$($core).+.is_unsent;
                 answer
             });
-            self.core.is_unsent = !is_sent;
+            self.$($core).+.is_unsent = !is_sent;
             stopped
         }
 
         fn has_sent_command(&self) -> bool {
-            !self.core.is_unsent
+            !self.$($core).+.is_unsent
         }
 
         fn statistics(&self) -> LinkStatistics {
-            self.core.tally.statistics
+            self.$($core).+.tally.statistics
         }
 
         fn shortest_cycle_s(&self) -> Option<f64> {
-            let timing = &self.core.timing;
+            let timing = &self.$($core).+.timing;
             timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
         }
 
         fn round_trips(&self) -> Option<&RoundTrips> {
-            Some(&self.core.tally.round_trips)
+            Some(&self.$($core).+.tally.round_trips)
         }
 
         fn bound(&mut self, left_s: f64) {
-            self.core.bound.set(left_s, now());
+            self.$($core).+.bound.set(left_s, now());
         }
 
         fn burst(&mut self) -> Option<&mut dyn Burst> {
-            (self.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
+            (self.$($core).+.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
         }
     };
 }

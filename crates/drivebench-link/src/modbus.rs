@@ -9,37 +9,36 @@
 //! what was read nor when: only function, unit and length. Windows of a burst carry their own index in front, so no late
 //! window can be taken for another.
 //!
-//! This file owns the clock of the exchanges.
-//! bus.rs shows the link as registers, for drives with a map of their own; raw.rs as registers of any unit.
+//! Over the exchanges of exchange.rs. bus.rs shows the link as registers, for drives with a map of their own; raw.rs as registers of
+//! any unit.
 
 mod bus;
 mod raw;
 
 use std::borrow::Cow;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use firmware_protocol::registers::{
     CAPTURE_CONTROL, CAPTURE_STATE, COMMAND_ADDRESS, COMMAND_WORDS, IDENTITY_ADDRESS,
     IDENTITY_WORDS, SEQUENCE_ECHO, TELEMETRY_ADDRESS, TELEMETRY_WORDS,
 };
 use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
-use tokio_modbus::client::{Client, Context, rtu, tcp};
+use tokio_modbus::client::{Client as _, Context, rtu, tcp};
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
-use super::exceptions::{BusyPauses, Requested, exception_name};
+use super::exceptions::{BusyPauses, Requested};
+use super::exchange::{Exchange, NoData, Query};
+use super::framing::{Echo, FrameKind};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
-use super::link_core::{Answer, LinkCore, READ_ATTEMPTS, own_link, stop_confirmed};
-use super::proof::{DEADLINE_SILENCES, End, Method, Policy, Proof, Step};
+use super::link_core::{Answer, own_link, stop_confirmed};
 use super::register_bus::{RTU, ReadRequest, RegisterTable, registers};
-use super::reply::{Echo, FrameKind};
-use super::reply_filter::{Port, ReplyFilter};
+use super::reply_filter::ReplyFilter;
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
-use super::transaction::{LineCounts, StopRequest, never_silent, out_of_step};
-use super::unexpected::Unexpected;
-use super::waiting::{Waiting, now};
+use super::transaction::{LineCounts, StopRequest};
+use super::waiting::now;
 use drivebench_model::sample::{Command, Sample};
 
 pub use bus::ModbusBus;
@@ -56,47 +55,42 @@ pub(super) const COMMAND_BYTES: usize = RTU.read_write + 2 * COMMAND_WORDS;
 pub(super) const TELEMETRY_BYTES: usize = RTU.read_reply + 2 * TELEMETRY_WORDS;
 
 pub struct ModbusLink {
-    core: LinkCore,
-    // The order matters: what uses the runtime that waits goes before it.
-    context: Context,
-    filter: ReplyFilter,
-    waiting: Waiting,
-    kind: FrameKind,
-    unit: u8,
-    proof: Proof,
-    retries: u64,
+    // Before the exchange, whose runtime it uses.
+    client: Client,
+    exchange: Exchange,
     /// Reads that were repeated because the unit was busy.
     busy_repeats: u64,
     /// It was busy to the end of the last of them: it gets no more time before it has answered.
     stays_busy: bool,
-    resync: Duration,
-    /// Probes for resynchronisation, and the number of disturbances that caused them.
-    probes: u64,
-    resynchronisations: u64,
-    /// Duration of the last exchange that got a reply.
-    last_round_trip: Duration,
     /// Commands without a sample since the last one that had one.
     failed_in_a_row: u32,
-    /// Settings of the line, for the error of a unit that never answers.
-    at: Option<String>,
 }
 
-/// A request in the form of tokio-modbus and as the PDU for the proof.
+/// The client of tokio-modbus on the line of an exchange.
+struct Client {
+    context: Context,
+    unit: u8,
+}
+
+/// A request in the form of tokio-modbus and as the proof takes it.
 #[derive(Clone)]
 struct Question<'a> {
     request: Request<'a>,
-    pdu: [u8; 5],
-    what: &'a str,
-    allowed: Duration,
-    /// Interrupted when a stop is requested.
-    is_probe: bool,
-    /// Its reply carries its own number.
-    is_numbered: bool,
+    query: Query<'a>,
 }
 
 impl<'a> Question<'a> {
-    const fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
-        Self { request, pdu, what, allowed, is_probe: false, is_numbered: false }
+    fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
+        let count = match &request {
+            Request::ReadHoldingRegisters(_, count)
+            | Request::ReadInputRegisters(_, count)
+            | Request::ReadWriteMultipleRegisters(_, count, ..) => *count,
+            Request::WriteMultipleRegisters(_, values) => quantity(values.len()),
+            _ => 1,
+        };
+        let requested = Requested { function: pdu[0], count, is_of_profile: false };
+        let query = Query { pdu, what, allowed, is_probe: false, is_numbered: false, requested };
+        Self { request, query }
     }
 
     fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
@@ -107,57 +101,83 @@ impl<'a> Question<'a> {
         Self::plain(request, read.pdu(), what, allowed)
     }
 
-    /// For the help of an exception.
-    fn requested(&self) -> Requested {
-        let count = match &self.request {
-            Request::ReadHoldingRegisters(_, count)
-            | Request::ReadInputRegisters(_, count)
-            | Request::ReadWriteMultipleRegisters(_, count, ..) => *count,
-            Request::WriteMultipleRegisters(_, values) => quantity(values.len()),
-            _ => 1,
+    /// A probe of the proof. The filter compares all its bytes.
+    fn probe(pdu: [u8; 5], timing: &LineTiming) -> Self {
+        let [function, data @ ..] = pdu;
+        let [a, b, c, d] = data;
+        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+        let (request, words) = match function {
+            3 => (Request::ReadHoldingRegisters(address, count), count),
+            4 => (Request::ReadInputRegisters(address, count), count),
+            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
-        Requested { function: self.pdu[0], count, is_of_profile: false }
+        let allowed = timing.hurried(RTU.read, RTU.read_reply + 2 * usize::from(words));
+        let mut question = Self::plain(request, pdu, "the probe", allowed);
+        question.query.is_probe = true;
+        question
     }
 
     const fn numbered(mut self) -> Self {
-        self.is_numbered = true;
+        self.query.is_numbered = true;
         self
+    }
+}
+
+impl Client {
+    fn new(filter: &ReplyFilter, kind: FrameKind, unit: u8) -> Self {
+        let context = match kind {
+            FrameKind::Rtu => rtu::attach_slave(filter.clone(), Slave(unit)),
+            FrameKind::Tcp => tcp::attach_slave(filter.clone(), Slave(unit)),
+        };
+        Self { context, unit }
+    }
+
+    fn attach(&mut self, exchange: &Exchange) {
+        *self = Self::new(&exchange.filter, exchange.kind, self.unit);
+    }
+
+    /// One request and its reply; who calls has listened.
+    fn call<T>(
+        &mut self,
+        exchange: &mut Exchange,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>> {
+        let call = self.context.call(question.request);
+        let reply = async { data(call.await) };
+        let answer = exchange.call(question.query, reply, check);
+        if answer.is_err() && exchange.kind == FrameKind::Rtu {
+            // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
+            // transaction number, and the filter drops replies to older ones.
+            self.attach(exchange);
+        }
+        answer
+    }
+}
+
+/// The response of the client, or why there is none.
+fn data(reply: tokio_modbus::Result<Response>) -> Result<Response, NoData> {
+    match reply {
+        Ok(Ok(response)) => Ok(response),
+        Ok(Err(code)) => Err(NoData::Refused(code.into())),
+        // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
+        Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
+            result: Err(refused), ..
+        })) => Err(NoData::Refused(refused.exception.into())),
+        Err(Error::Protocol(error)) => Err(NoData::Mismatch(error.to_string())),
+        Err(Error::Transport(error)) => Err(NoData::Transport(error)),
     }
 }
 
 impl ModbusLink {
     /// A link over a port that was opened within the runtime that waits for it.
-    pub(super) fn new(
-        name: String,
-        waiting: Waiting,
-        port: Box<dyn Port>,
-        kind: FrameKind,
-        unit: u8,
-        timing: LineTiming,
-        epoch: Instant,
-    ) -> Self {
-        let filter = ReplyFilter::new(port, kind);
-        let policy = match kind {
-            FrameKind::Rtu => Policy::Fixed(Method::Nonce),
-            FrameKind::Tcp => Policy::Numbered,
-        };
+    pub(super) fn new(exchange: Exchange, unit: u8) -> Self {
         Self {
-            proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
-            core: LinkCore::new(name, timing, epoch),
-            context: attach(&filter, kind, unit),
-            filter,
-            waiting,
-            kind,
-            unit,
-            retries: 0,
+            client: Client::new(&exchange.filter, exchange.kind, unit),
+            exchange,
             busy_repeats: 0,
             stays_busy: false,
-            resync: Duration::ZERO,
-            probes: 0,
-            resynchronisations: 0,
-            last_round_trip: Duration::ZERO,
             failed_in_a_row: 0,
-            at: None,
         }
     }
 
@@ -173,7 +193,7 @@ impl ModbusLink {
     }
 
     fn read_checked(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
-        let allowed = self.core.timing.allowed(RTU.read, read.reply_bytes());
+        let allowed = self.exchange.core.timing.allowed(RTU.read, read.reply_bytes());
         self.read_with_retries(&Question::read(read, what, allowed), words(read.count.into()))
     }
 
@@ -182,17 +202,17 @@ impl ModbusLink {
         let what = format!("write {} at {address}", registers(values.len()));
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
         let bytes = RTU.write + 2 * values.len();
-        let allowed = self.core.timing.allowed(bytes, RTU.written);
+        let allowed = self.exchange.core.timing.allowed(bytes, RTU.written);
         let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
         self.ask(question, acknowledged).map(|answer| answer.value)
     }
 
     /// One command on the wire. Only a reply that carries its number is its sample.
     fn command(&mut self, command: Command) -> Result<Sample> {
-        let travels = self.core.command(command);
+        let travels = self.exchange.core.command(command);
         // Position in the PDU of the reply: after function code, byte count and the registers before it.
         let at = 2 + 2 * usize::from(SEQUENCE_ECHO.address - TELEMETRY_ADDRESS);
-        self.filter.expect(Echo { at, bytes: travels.seq.to_be_bytes() });
+        self.exchange.filter.expect(Echo { at, bytes: travels.seq.to_be_bytes() });
         let sent: [u16; COMMAND_WORDS] = travels.to_registers();
         let read = telemetry_request();
         let request = Request::ReadWriteMultipleRegisters(
@@ -203,30 +223,30 @@ impl ModbusLink {
         );
         let [_, pdu @ ..] = read.pdu();
         let [a, b, c, d] = pdu;
-        let allowed = self.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
+        let allowed = self.exchange.core.timing.allowed(COMMAND_BYTES, TELEMETRY_BYTES);
         let question = Question::plain(request, [23, a, b, c, d], "the command", allowed);
         let answer = self.call(question.numbered(), telemetry);
         self.failed_in_a_row = match &answer {
             Ok(_) => 0,
             Err(_) => self.failed_in_a_row.saturating_add(1),
         };
-        Ok(self.core.sample(command, &answer?))
+        Ok(self.exchange.core.sample(command, &answer?))
     }
 
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
     fn note_clock(&mut self) -> Result<(u32, f64)> {
         let read = telemetry_request();
-        let allowed = self.core.timing.allowed(RTU.read, read.reply_bytes());
+        let allowed = self.exchange.core.timing.allowed(RTU.read, read.reply_bytes());
         let question = Question::read(read, "the telemetry", allowed);
         let answer = self.read_with_retries(&question, telemetry)?;
         let time_us = answer.value.time_us;
-        Ok((time_us, self.core.timeline.note(time_us, answer.span)))
+        Ok((time_us, self.exchange.core.timeline.note(time_us, answer.span)))
     }
 
     fn window(&mut self, index: u16) -> Result<Vec<u16>> {
         let sent = [index];
         let bytes = (RTU.read_write + 2, RTU.read_reply + 2 * WINDOW_WORDS);
-        let allowed = self.core.timing.unhurried(bytes.0, bytes.1);
+        let allowed = self.exchange.core.timing.unhurried(bytes.0, bytes.1);
         let request = Request::ReadWriteMultipleRegisters(
             WINDOW_ADDRESS,
             quantity(WINDOW_WORDS),
@@ -235,8 +255,8 @@ impl ModbusLink {
         );
         let question = Question::plain(request, [23, 0, 0, 0, 0], "captured samples", allowed);
         self.with_retries(|link| {
-            link.listen()?;
-            link.filter.expect(Echo { at: 2, bytes: index.to_be_bytes() });
+            link.exchange.listen()?;
+            link.exchange.filter.expect(Echo { at: 2, bytes: index.to_be_bytes() });
             let answer = link.call(question.clone().numbered(), words(WINDOW_WORDS))?;
             Ok(answer.value)
         })
@@ -257,8 +277,24 @@ impl ModbusLink {
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>> {
-        self.in_step(&question.pdu)?;
+        self.in_step(&question.query.pdu)?;
         self.call(question, check)
+    }
+
+    fn in_step(&mut self, pdu: &[u8]) -> Result<()> {
+        let Self { client, exchange, .. } = self;
+        exchange.in_step(pdu, |exchange, pdu| {
+            let question = Question::probe(pdu, &exchange.core.timing);
+            client.call(exchange, question, |_| Ok(())).map(drop)
+        })
+    }
+
+    fn call<T>(
+        &mut self,
+        question: Question<'_>,
+        check: impl FnOnce(Response) -> Result<T, String>,
+    ) -> Result<Answer<T>> {
+        self.client.call(&mut self.exchange, question, check)
     }
 
     /// Repeats a read for a while as long as the unit is busy. Not within the bound of an exchange: there the next cycle reads again.
@@ -266,7 +302,7 @@ impl ModbusLink {
         let mut pauses = BusyPauses::default();
         loop {
             let result = ask(self);
-            let may_wait = !self.stays_busy && !self.core.bound.is_set();
+            let may_wait = !self.stays_busy && !self.exchange.core.bound.is_set();
             let pause = result.as_ref().err().filter(|_| may_wait).and_then(|e| pauses.next(e));
             let Some(pause) = pause else {
                 self.stays_busy = matches!(result, Err(LinkError::Exception { code: 5 | 6, .. }));
@@ -282,300 +318,35 @@ impl ModbusLink {
         let mut attempt = 1;
         loop {
             match ask(self) {
-                Err(error) if self.may_retry(&error, attempt) => attempt += 1,
+                Err(error) if self.exchange.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
     }
 
-    fn may_retry(&mut self, error: &LinkError, attempt: usize) -> bool {
-        let may = error.is_transient()
-            && !matches!(error, LinkError::Unproven { .. })
-            && attempt < READ_ATTEMPTS
-            && !self.core.bound.is_over(now());
-        self.retries += u64::from(may);
-        may
-    }
-
-    /// Waits for the gap before a request; bytes received meanwhile answer nothing.
-    fn listen(&mut self) -> Result<()> {
-        self.core.live()?;
-        let strays = self.after_gap();
-        self.judge(strays)?;
-        self.drop_rest().map(drop)
-    }
-
-    /// Drops what is left, and returns how many bytes of it disturb.
-    fn drop_rest(&mut self) -> Result<usize> {
-        let rest = self.filter.inner().reception.drop_rest();
-        self.judge(Ok(rest))
-    }
-
-    fn after_gap(&mut self) -> std::io::Result<usize> {
-        let last = self.filter.inner().reception.last_activity;
-        wait_until(last + self.core.timing.gap());
-        self.waiting.at_once(self.filter.begin()).unwrap_or(Ok(0))
-    }
-
-    /// The same, and waits for the end of a copy of the last reply that is still coming.
-    fn listen_out(&mut self) -> Result<()> {
-        self.core.live()?;
-        let until = now() + self.core.timing.quiet();
-        loop {
-            let strays = self.after_gap();
-            self.judge(strays)?;
-            let is_over = now() >= until || self.core.bound.is_over(now());
-            if is_over || !self.filter.inner().reception.is_copying() {
-                return self.drop_rest().map(drop);
-            }
-            let step = self.core.timing.gap().max(Duration::from_millis(1));
-            let came = self.waiting.until(now() + step, self.filter.listen());
-            self.judge(came.unwrap_or(Ok(0)))?;
-        }
-    }
-
-    /// Handles bytes received while no request was outstanding.
-    fn judge(&mut self, strays: std::io::Result<usize>) -> Result<usize> {
-        let count = strays.map_err(|error| self.lost(&error))?;
-        if count > 0 {
-            let old = self.filter.inner().reception.take_old_replies();
-            self.proof.disturbed(&old, now());
-        }
-        Ok(count)
-    }
-
-    /// Silence up to this instant, or until something comes (false); an error where the exchange must not take so long.
-    fn keep_silent(&mut self, until: Instant) -> Result<bool> {
-        loop {
-            let now = now();
-            if now >= until {
-                return Ok(true);
-            }
-            if self.core.bound.is_over(now) {
-                return Err(self.unproven());
-            }
-            let look = self.core.bound.next_look(now, until);
-            let came = self.waiting.until(look, self.filter.listen());
-            // Also what looks like the beginning of a copy: it may be that of a late reply.
-            if self.judge(came.unwrap_or(Ok(0)))? + self.drop_rest()? > 0 {
-                return Ok(false);
-            }
-        }
-    }
-
-    /// Synchronises the line before a request, so that the next reply cannot be that to an earlier one. A bounded exchange sends at
-    /// most a few probes, and the next exchange continues.
-    fn in_step(&mut self, pdu: &[u8]) -> Result<()> {
-        let begun = now();
-        let result = self.carry_out(pdu);
-        self.resync += now().saturating_duration_since(begun);
-        result
-    }
-
-    fn carry_out(&mut self, pdu: &[u8]) -> Result<()> {
-        self.listen()?;
-        let (mut probes, mut begun) = (0, false);
-        let mut failed = None;
-        loop {
-            let is_late = |bound: &super::transaction::Bound| {
-                // Most probes of one bounded exchange.
-                bound.is_set() && (probes == 3 || bound.is_over(now()))
-            };
-            match self.proof.next(pdu, now()) {
-                Step::Go => return Ok(()),
-                Step::Silence(until) => drop(self.keep_silent(until)?),
-                Step::Probe(_) if is_late(&self.core.bound) => return Err(self.unproven()),
-                Step::Probe(pdu) => {
-                    let is_new = self.proof.is_disturbed() && !std::mem::replace(&mut begun, true);
-                    self.resynchronisations += u64::from(is_new);
-                    self.probes += 1;
-                    probes += 1;
-                    self.listen()?;
-                    match self.probe(pdu) {
-                        Err(error @ LinkError::Gone { .. }) => return Err(error),
-                        // How it ended is known to the proof.
-                        probed => {
-                            failed = probed.err();
-                            self.listen_out()?;
-                        }
-                    }
-                }
-                Step::NeverSilent => return Err(never_silent(&self.core.name)),
-                Step::GiveUp => return Err(unprobed(&self.core.name, failed)),
-            }
-        }
-    }
-
-    /// One probe. The filter compares all its bytes.
-    fn probe(&mut self, pdu: [u8; 5]) -> Result<()> {
-        let [function, data @ ..] = pdu;
-        let [a, b, c, d] = data;
-        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
-        let (request, words) = match function {
-            3 => (Request::ReadHoldingRegisters(address, count), count),
-            4 => (Request::ReadInputRegisters(address, count), count),
-            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
-        };
-        let reply = RTU.read_reply + 2 * usize::from(words);
-        let allowed = self.core.timing.hurried(RTU.read, reply);
-        let question =
-            Question { is_probe: true, ..Question::plain(request, pdu, "the probe", allowed) };
-        self.call(question, |_| Ok(())).map(drop)
-    }
-
-    /// One request and its reply, booked in the statistics; who calls has listened. `check` turns the reply into a
-    /// value or says what is wrong with it.
-    fn call<T>(
-        &mut self,
-        question: Question<'_>,
-        check: impl FnOnce(Response) -> Result<T, String>,
-    ) -> Result<Answer<T>> {
-        let sent = now();
-        let deadline = self.core.bound.earlier(sent + question.allowed);
-        // With less time left no request goes out.
-        if deadline < sent + Duration::from_millis(1) {
-            return Err(self.unproven());
-        }
-        // What came before the request has been judged.
-        self.filter.inner().reception.take_anomaly();
-        self.proof.sent(&question.pdu, question.is_probe, sent);
-        let requested = question.requested();
-        let Question { request, what, is_probe, .. } = question;
-        let reply = {
-            let bound = &self.core.bound;
-            let mut call = std::pin::pin!(self.context.call(request));
-            loop {
-                let look = if is_probe { bound.next_look(now(), deadline) } else { deadline };
-                match self.waiting.until(look, call.as_mut()) {
-                    None if look < deadline && !bound.is_over(look) => {}
-                    reply => break reply,
-                }
-            }
-        };
-        let received = now();
-        let waited = received.saturating_duration_since(sent);
-        let result = match reply {
-            Some(Ok(Ok(response))) => check(response).map_err(|reason| self.mismatch(reason)),
-            Some(Ok(Err(code))) => Err(self.refusal(what, requested, code.into())),
-            // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
-            Some(Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
-                result: Err(refused),
-                ..
-            }))) => Err(self.refusal(what, requested, refused.exception.into())),
-            Some(Err(Error::Protocol(error))) => Err(self.mismatch(error.to_string())),
-            Some(Err(Error::Transport(error))) => Err(self.broken(&error, what)),
-            // No reply in time: what came instead tells the class.
-            None => {
-                let left = self.filter.inner().reception.leftover();
-                let of = |at| format!("{what} of unit {}{at}", self.unit);
-                let what = self.at.as_ref().map_or_else(|| what.to_owned(), of);
-                Err(left.error(&self.core.name, what, waited.min(deadline - sent)))
-            }
-        };
-        let end = End::of(&result);
-        if end != End::Missing {
-            self.last_round_trip = waited;
-        }
-        let (asked, answered) = {
-            let reception = &mut self.filter.inner().reception;
-            self.core.is_unsent = reception.asked.is_none();
-            if end == End::Missing {
-                reception.retire();
-            }
-            self.proof.settle(end, reception, question.is_numbered, received);
-            (reception.asked, reception.answered)
-        };
-        if result.is_err() && self.kind == FrameKind::Rtu {
-            // A request that was cut off must not stay in the client's buffer. Over TCP the client keeps the
-            // transaction number, and the filter drops replies to older ones.
-            self.attach();
-        }
-        let core = &mut self.core;
-        core.tally.settle(&result, waited.as_secs_f64());
-        result.map(|value| Answer {
-            value,
-            span: core.span(asked.unwrap_or(sent), answered.unwrap_or(received)),
-            complete_s: core.host_s(received),
-        })
-    }
-
-    fn attach(&mut self) {
-        self.context = attach(&self.filter, self.kind, self.unit);
-    }
-
-    fn lost(&mut self, error: &std::io::Error) -> LinkError {
-        self.close();
-        self.core.gone(error)
-    }
-
-    fn broken(&mut self, error: &std::io::Error, request: &str) -> LinkError {
-        if self.filter.inner().reception.is_rtu_over_tcp() {
-            self.close();
-            let (link, request) = (self.core.name.clone(), request.to_owned());
-            return LinkError::Unexpected { link, request, what: Unexpected::RtuFrames };
-        }
-        if error.kind() == std::io::ErrorKind::InvalidData {
-            LinkError::Corrupt(self.core.name.clone(), error.to_string())
-        } else {
-            self.lost(error)
-        }
-    }
-
-    fn refusal(&self, what: &str, requested: Requested, code: u8) -> LinkError {
-        LinkError::Exception {
-            link: self.core.name.clone(),
-            request: what.to_owned(),
-            code,
-            name: exception_name(code),
-            requested,
-        }
-    }
-
-    fn mismatch(&self, reason: String) -> LinkError {
-        LinkError::Mismatch(self.core.name.clone(), reason)
-    }
-
-    /// Deadline of the exchange, or a stop request, before the line was synchronised.
-    fn unproven(&self) -> LinkError {
-        LinkError::Unproven(
-            self.core.name.clone(),
-            "the line is not proven to be in step yet, and the time of this exchange is over"
-                .to_owned(),
-        )
-    }
-
-    fn line_counts(&self) -> LineCounts {
-        LineCounts {
-            retries: self.retries,
-            resync_ms: u64::try_from(self.resync.as_millis()).unwrap_or(u64::MAX),
-            ..self.filter.inner().reception.line
-        }
-    }
-
     /// Sent at once even on a doubtful line: the echo of its sequence number proves that it was applied.
     fn stop_once(&mut self, stop: Command) -> Result<Sample> {
-        self.core.is_unsent = true;
-        self.listen()?;
+        self.exchange.core.is_unsent = true;
+        self.exchange.listen()?;
         self.command(stop)
     }
 }
 
 impl DriveLink for ModbusLink {
-    own_link!();
+    own_link!(exchange.core);
 
     fn identify(&mut self) -> Result<Identity> {
         let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
         let block = self.while_busy(|link| link.read_checked(read, &read.text()));
         let block = block.map_err(LinkError::of_profile)?.value;
-        let block = block
-            .as_slice()
-            .try_into()
-            .map_err(|_| self.mismatch(format!("{} registers of identity", block.len())))?;
+        let block = block.as_slice().try_into().map_err(|_| {
+            self.exchange.mismatch(format!("{} registers of identity", block.len()))
+        })?;
         let block = firmware_protocol::Identity::from_registers(block)
-            .map_err(|error| identity_error(&self.core.name, error))?;
+            .map_err(|error| identity_error(&self.exchange.core.name, error))?;
         let mut identity = identity(&block);
         // The device identification is optional.
-        let allowed = self.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let allowed = self.exchange.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = identification(ReadCode::Regular, 0, NAMES, allowed);
         match self.while_busy(|link| link.read_with_retries(&question, objects)) {
             Ok(names) => {
@@ -587,41 +358,34 @@ impl DriveLink for ModbusLink {
             Err(LinkError::Exception { .. }) => {}
             Err(error) => return Err(error),
         }
-        self.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
+        self.exchange.core.capture_period_s = f64::from(block.capture_period_us) * 1e-6;
         // The origin of the time axis.
         self.while_busy(Self::note_clock)?;
         Ok(identity)
     }
 
     fn exchange(&mut self, command: Command) -> Result<Sample> {
-        self.core.is_unsent = true;
-        self.listen()?;
+        self.exchange.core.is_unsent = true;
+        self.exchange.listen()?;
         // After two failed commands in a row the line is given time to become silent.
-        let waits = self.failed_in_a_row >= 2 && self.kind == FrameKind::Rtu;
+        let waits = self.failed_in_a_row >= 2 && self.exchange.kind == FrameKind::Rtu;
         // A stop goes out at once, also where the line is never silent.
         if waits && command.demand.energises() {
-            let quiet = self.core.timing.quiet();
-            let deadline = now() + DEADLINE_SILENCES * quiet;
-            while !self.keep_silent(now() + quiet)? {
-                if now() >= deadline {
-                    return Err(never_silent(&self.core.name));
-                }
-            }
+            self.exchange.wait_for_quiet()?;
         }
         self.command(command)
     }
 
     fn close(&mut self) {
-        self.core.gone = true;
-        self.filter.close();
+        self.exchange.close();
     }
 
     fn line(&self) -> Option<LineCounts> {
-        Some(self.line_counts())
+        Some(self.exchange.line_counts())
     }
 
     fn stop_request(&mut self) -> Option<&mut StopRequest> {
-        Some(&mut self.core.bound.stop_request)
+        Some(&mut self.exchange.core.bound.stop_request)
     }
 }
 
@@ -636,7 +400,7 @@ impl Burst for ModbusLink {
         // State, count and the drive time of the first sample of a burst.
         let head = self.read_registers(table, CAPTURE_STATE.address, 4)?;
         let [state, count, high, low] = head[..] else {
-            return Err(self.mismatch(format!("{} registers of a capture", head.len())));
+            return Err(self.exchange.mismatch(format!("{} registers of a capture", head.len())));
         };
         if state != CaptureState::Complete.code() {
             return Ok(None);
@@ -644,30 +408,10 @@ impl Burst for ModbusLink {
         let (time_us, now_s) = self.note_clock()?;
         let age_us = signed_difference(time_us, u32::from(high) << 16 | u32::from(low));
         let first_s = now_s - f64::from(age_us) * 1e-6;
-        let period_s = self.core.capture_period_s;
-        let name = self.core.name.clone();
+        let period_s = self.exchange.core.capture_period_s;
+        let name = self.exchange.core.name.clone();
         let block = |index| Ok(window_samples(index, &self.window(index)?));
         Capture::collect(&name, first_s, period_s, count, block).map(Some)
-    }
-}
-
-/// Why the line could not be proven. Where the probes got nothing, a refusal or damage, that is what is wrong with it.
-fn unprobed(name: &str, last: Option<LinkError>) -> LinkError {
-    match last {
-        Some(
-            error @ (LinkError::Timeout { .. }
-            | LinkError::Exception { .. }
-            | LinkError::Unexpected { .. }
-            | LinkError::Corrupt { .. }),
-        ) => error,
-        _ => out_of_step(name),
-    }
-}
-
-fn attach(filter: &ReplyFilter, kind: FrameKind, unit: u8) -> Context {
-    match kind {
-        FrameKind::Rtu => rtu::attach_slave(filter.clone(), Slave(unit)),
-        FrameKind::Tcp => tcp::attach_slave(filter.clone(), Slave(unit)),
     }
 }
 

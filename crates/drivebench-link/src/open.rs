@@ -8,13 +8,14 @@ use std::{fmt, io};
 use thiserror::Error;
 use tokio::runtime::Builder;
 
+use super::exchange::Exchange;
+use super::framing::FrameKind;
 use super::link::{DriveLink, LinkError, Result};
 use super::link_error::OVER_TCP;
 use super::modbus::{ModbusBus, ModbusLink};
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
-use super::reply::FrameKind;
 use super::reply_filter::Port;
 use super::settings::{LinkSettings, Protocol};
 use super::stream::StreamLink;
@@ -188,9 +189,8 @@ pub(super) fn open_line(
         Some(tap) => Box::new(TappedPort::new(port, tap)),
         None => port,
     };
-    let unit = unit.unwrap_or(settings.unit);
-    let waiting = Waiting::Real(runtime);
-    Ok(ModbusLink::new(name, waiting, port, kind, unit, timing, epoch))
+    let exchange = Exchange::new(name, Waiting::Real(runtime), port, kind, timing, epoch);
+    Ok(ModbusLink::new(exchange, unit.unwrap_or(settings.unit)))
 }
 
 /// Opens a stream link, whatever the profile's protocol.

@@ -17,9 +17,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use super::framing::Code;
 use super::link::{LinkError, Result};
 use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
-use super::reply::Code;
 use super::transaction::{OldReply, Reception};
 
 /// Time without a silence, in silences, after which the line is given up.

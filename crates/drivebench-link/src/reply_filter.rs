@@ -14,7 +14,7 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::reply::{Echo, FrameKind};
+use super::framing::{Echo, FrameKind};
 use super::transaction::Reception;
 use super::waiting::now;
 

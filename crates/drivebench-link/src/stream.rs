@@ -296,7 +296,7 @@ fn capture_status(message: &Message) -> Option<CaptureStatus> {
 }
 
 impl DriveLink for StreamLink {
-    own_link!();
+    own_link!(core);
 
     fn identify(&mut self) -> Result<Identity> {
         let answer =

@@ -23,8 +23,8 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use firmware_protocol::modbus::{request_len, response_len};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
+use super::framing::rtu_frame_len;
 use super::port::TimedPort;
-use super::reply::rtu_frame_len;
 use super::reply_filter::Port;
 use super::waiting::now;
 

@@ -19,8 +19,8 @@ use std::time::{Duration, Instant};
 use firmware_protocol::modbus::response_len;
 use serde::Serialize;
 
+use super::framing::{Code, Expected, FrameKind, Search, begins_with_rtu, rtu_frame_len, search};
 use super::link_error::LinkError;
-use super::reply::{Code, Expected, FrameKind, Search, begins_with_rtu, rtu_frame_len, search};
 use super::unexpected::Unexpected;
 
 /// Request to stop: one of its flags was raised since the last [`StopRequest::lower`].

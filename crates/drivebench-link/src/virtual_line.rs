@@ -16,12 +16,13 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::burst::{Burst, Capture};
+use super::exchange::Exchange;
+use super::framing::FrameKind;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::modbus::ModbusLink;
 use super::open::dressed;
 use super::port::TimedPort;
 use super::profile::DriveProfile;
-use super::reply::FrameKind;
 use super::settings::Protocol;
 use super::stream::StreamLink;
 use super::timing::LineTiming;
@@ -79,8 +80,8 @@ pub(super) fn modbus_link<D: Device + 'static>(
         (FrameKind::Tcp, _) => LineTiming::network(settings),
     };
     let port = Box::new(VirtualPort::new(Arc::clone(device)));
-    let (name, unit) = (name.to_owned(), settings.unit);
-    ModbusLink::new(name, Waiting::Virtual, port, kind, unit, timing, now())
+    let exchange = Exchange::new(name.to_owned(), Waiting::Virtual, port, kind, timing, now());
+    ModbusLink::new(exchange, settings.unit)
 }
 
 pub(super) trait Device: Send {

@@ -19,11 +19,11 @@ use super::{
     LinkError, ModbusLink, NAMES, NAMES_BYTES, Question, acknowledged, identification, now,
     object_text, objects, words,
 };
+use crate::framing::FrameKind;
 use crate::link::{DriveLink, LinkName, LinkStatistics, Result, RoundTrips};
 use crate::proof::Method;
 use crate::register_bus::{RTU, ReadRequest, RegisterBus, RegistersRead, Span, registers};
 use crate::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
-use crate::reply::FrameKind;
 use crate::timing::wait_until;
 use crate::transaction::{LineCounts, StopRequest};
 
@@ -55,7 +55,7 @@ impl ModbusBus {
             Resync::Tid | Resync::None => Method::Silence,
         };
         let place = place.map(|block| (block.read, block.read.count));
-        link.proof.set_policy(method, place);
+        link.exchange.proof.set_policy(method, place);
         Self {
             link,
             silence_proves: method == Method::Silence,
@@ -78,18 +78,19 @@ impl ModbusBus {
         count: u16,
         wire: Duration,
     ) -> Result<RegistersRead> {
-        let what = question.what;
+        let what = question.query.what;
         let sent = now();
-        let stale_frames = |bus: &Self| bus.link.filter.inner().reception.line.stale_frames;
+        let stale_frames =
+            |bus: &Self| bus.link.exchange.filter.inner().reception.line.stale_frames;
         let before = stale_frames(self);
         let usual = self.longest(|(took, _)| *took);
-        if self.link.core.bound.ends_before(sent + usual) {
+        if self.link.exchange.core.bound.ends_before(sent + usual) {
             // Its reply would arrive outside an exchange and put the line in doubt.
-            return Err(self.link.unproven());
+            return Err(self.link.exchange.unproven());
         }
         let answer = self.link.call(question, words(count.into()))?;
         let answer = RegistersRead { words: answer.value, span: answer.span };
-        if self.link.kind == FrameKind::Tcp {
+        if self.link.exchange.kind == FrameKind::Tcp {
             return Ok(answer);
         }
         let took = now().saturating_duration_since(sent);
@@ -97,11 +98,11 @@ impl ModbusBus {
         if took < usual {
             wait_until(sent + usual);
         }
-        if !self.link.proof.is_doubtful() {
-            self.link.listen_out()?;
+        if !self.link.exchange.proof.is_doubtful() {
+            self.link.exchange.listen_out()?;
         }
-        if self.link.proof.is_doubtful() {
-            let name = self.link.core.name.clone();
+        if self.link.exchange.proof.is_doubtful() {
+            let name = self.link.exchange.core.name.clone();
             return Err(if stale_frames(self) > before {
                 LinkError::Stale(name, format!("another reply came with that to {what}"))
             } else {
@@ -113,7 +114,7 @@ impl ModbusBus {
 
     /// Time of one exchange: a bounded one belongs to a cycle.
     fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
-        let core = &self.link.core;
+        let core = &self.link.exchange.core;
         if core.bound.is_set() {
             core.timing.hurried(request_bytes, reply_bytes)
         } else {
@@ -130,9 +131,9 @@ impl ModbusBus {
         self.round_trips.push_back((took, lag));
         if self.round_trips.len() == ROUND_TRIPS && !self.silence_proves {
             let lag = self.longest(|(_, lag)| *lag);
-            let timing = &mut self.link.core.timing;
+            let timing = &mut self.link.exchange.core.timing;
             timing.measured(lag);
-            self.link.proof.set_quiet(timing.quiet());
+            self.link.exchange.proof.set_quiet(timing.quiet());
         }
     }
 
@@ -167,12 +168,12 @@ impl RegisterBus for ModbusBus {
     }
 
     fn now_s(&self) -> f64 {
-        self.link.core.host_s(now())
+        self.link.exchange.core.host_s(now())
     }
 
     fn pause_until_s(&mut self, time_s: f64) {
         if let Ok(since) = Duration::try_from_secs_f64(time_s) {
-            wait_until(self.link.core.epoch + since);
+            wait_until(self.link.exchange.core.epoch + since);
         }
     }
 
@@ -182,11 +183,11 @@ impl RegisterBus for ModbusBus {
         loop {
             let result = self.link.in_step(&read.pdu()).and_then(|()| {
                 let question = Question::read(read, &what, self.allowed(RTU.read, reply));
-                let wire = self.link.core.timing.wire(RTU.read, reply);
+                let wire = self.link.exchange.core.timing.wire(RTU.read, reply);
                 self.alone(question, read.count, wire)
             });
             match result {
-                Err(error) if self.link.may_retry(&error, attempt) => attempt += 1,
+                Err(error) if self.link.exchange.may_retry(&error, attempt) => attempt += 1,
                 result => return result,
             }
         }
@@ -199,18 +200,18 @@ impl RegisterBus for ModbusBus {
     }
 
     fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
-        self.link.listen()?;
+        self.link.exchange.listen()?;
         let bytes = RTU.write + 2 * values.len();
-        let timing = &self.link.core.timing;
+        let timing = &self.link.exchange.core.timing;
         let mut allowed = timing.allowed(bytes, RTU.written);
-        if self.link.proof.is_doubtful() {
+        if self.link.exchange.proof.is_doubtful() {
             // On a line in doubt the reply is awaited no longer than usual.
             allowed = allowed.min(timing.brief(bytes, RTU.written));
         }
         // What stops a drive has its own short time, whatever is left of that for reading.
-        let bound = std::mem::take(&mut self.link.core.bound);
+        let bound = std::mem::take(&mut self.link.exchange.core.bound);
         let result = self.put(function, address, values, allowed);
-        self.link.core.bound = bound;
+        self.link.exchange.core.bound = bound;
         result
     }
 
@@ -228,12 +229,12 @@ impl RegisterBus for ModbusBus {
         let what = format!("write {values:04x?} at {to} and read {read} at {from}");
         let request = Request::ReadWriteMultipleRegisters(from, count, to, Cow::Borrowed(values));
         let question = Question::plain(request, pdu, &what, self.allowed(bytes, reply));
-        let wire = self.link.core.timing.wire(bytes, reply);
+        let wire = self.link.exchange.core.timing.wire(bytes, reply);
         self.alone(question, count, wire)
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>> {
-        let allowed = self.link.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let allowed = self.link.exchange.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
         let question = identification(ReadCode::Specific, object, NAMES, allowed);
         match self.link.ask(question, objects) {
             Ok(objects) => Ok(object_text(&objects.value, object)),
@@ -271,7 +272,7 @@ impl RegisterBus for ModbusBus {
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
-        let timing = &self.link.core.timing;
+        let timing = &self.link.exchange.core.timing;
         timing.shortest_cycle_s(request_bytes, reply_bytes)
     }
 }

@@ -19,11 +19,11 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
 use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
+use crate::framing::FrameKind;
 use crate::link::{Identity, LinkError, LinkStatistics, Result};
 use crate::open::{Target, open_line};
 use crate::proof::{Policy, Proof};
 use crate::register_bus::{ReadRequest, registers};
-use crate::reply::FrameKind;
 use crate::settings::{Framing, LinkSettings, Protocol};
 use crate::tap::TapFile;
 use crate::timeline::identity;
@@ -92,6 +92,8 @@ impl RawSettings {
 /// A blocking Modbus client for raw registers.
 pub struct RawClient {
     link: ModbusLink,
+    /// Settings of a serial line, for messages.
+    at: String,
 }
 
 impl RawClient {
@@ -113,7 +115,7 @@ impl RawClient {
             (Target::Tcp { .. }, gap) => {
                 // A network needs no silence; one that is set is kept.
                 let gap_s = gap.unwrap_or_default().as_secs_f64();
-                link.core.timing = link.core.timing.with_gap(gap_s);
+                link.exchange.core.timing = link.exchange.core.timing.with_gap(gap_s);
                 String::new()
             }
         };
@@ -122,40 +124,47 @@ impl RawClient {
 
     /// `at`: settings of a serial line, for messages.
     fn over(mut link: ModbusLink, timeout: Duration, at: String) -> Self {
-        if link.kind == FrameKind::Rtu {
+        if link.exchange.kind == FrameKind::Rtu {
             // Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
-            let quiet = Duration::from_millis(20).max(link.core.timing.gap());
-            let quiet = quiet + link.core.timing.network_delay();
-            link.proof = Proof::new(Policy::Trial(timeout), quiet, now());
+            let quiet = Duration::from_millis(20).max(link.exchange.core.timing.gap());
+            let quiet = quiet + link.exchange.core.timing.network_delay();
+            link.exchange.proof = Proof::new(Policy::Trial(timeout), quiet, now());
         }
-        link.at = Some(at);
-        Self { link }
+        let unit = link.client.unit;
+        let mut client = Self { link, at };
+        client.name_unit(unit);
+        client
+    }
+
+    fn name_unit(&mut self, unit: u8) {
+        self.link.exchange.addressee = format!(" of unit {unit}{}", self.at);
     }
 
     /// Selects another unit of the line.
     pub fn set_unit(&mut self, unit: u8) {
-        self.link.unit = unit;
-        self.link.attach();
-        self.link.proof.forget_unit();
+        self.link.client.unit = unit;
+        self.link.client.attach(&self.link.exchange);
+        self.name_unit(unit);
+        self.link.exchange.proof.forget_unit();
     }
 
     pub fn counters(&self) -> RawCounters {
         RawCounters {
-            requests: self.link.core.tally.statistics,
-            probes: self.link.probes,
-            resynchronisations: self.link.resynchronisations,
+            requests: self.link.exchange.core.tally.statistics,
+            probes: self.link.exchange.probes,
+            resynchronisations: self.link.exchange.resynchronisations,
             busy_repeats: self.link.busy_repeats,
-            line: self.link.filter.inner().reception.line,
+            line: self.link.exchange.filter.inner().reception.line,
         }
     }
 
     /// Time from the request to the whole reply, of the last exchange that got one.
     pub const fn last_round_trip(&self) -> Duration {
-        self.link.last_round_trip
+        self.link.exchange.last_round_trip
     }
 
     pub const fn has_answered(&self) -> bool {
-        self.link.proof.has_answered
+        self.link.exchange.proof.has_answered
     }
 
     /// Reads registers, once; again for a while where the unit is busy. That the reply is not one to an equal earlier request is only proved by [`RawClient::verify`].
@@ -164,7 +173,7 @@ impl RawClient {
         let question = Question::read(request, &what, self.allowed());
         let read = |link: &mut ModbusLink| link.ask(question.clone(), words(count));
         let values = self.link.while_busy(read)?.value;
-        self.link.proof.readable(request);
+        self.link.exchange.proof.readable(request);
         Ok(values)
     }
 
@@ -183,7 +192,7 @@ impl RawClient {
     }
 
     fn allowed(&self) -> Duration {
-        self.link.core.timing.allowed(0, 0)
+        self.link.exchange.core.timing.allowed(0, 0)
     }
 
     /// Whether every reply since the last proof answered its own request: true if a probe returned alone. After `false` the line is
@@ -192,15 +201,15 @@ impl RawClient {
         if !self.has_answered() {
             return Ok(true);
         }
-        let before = self.link.proof.anomalies;
-        self.link.proof.doubt();
+        let before = self.link.exchange.proof.anomalies;
+        self.link.exchange.proof.doubt();
         self.link.in_step(&[])?;
-        Ok(self.link.proof.anomalies == before)
+        Ok(self.link.exchange.proof.anomalies == before)
     }
 
     /// Synchronises the line so that the reply to this request is unambiguous.
     fn prove_for(&mut self, request: ReadRequest) -> Result<()> {
-        let proof = &mut self.link.proof;
+        let proof = &mut self.link.exchange.proof;
         if proof.could_confuse(&request.pdu()) || !proof.is_proven {
             proof.doubt();
         }
@@ -209,7 +218,7 @@ impl RawClient {
 
     /// An accepted reply has become doubtful: it is counted as stale.
     const fn withdraw(&mut self) {
-        self.link.core.tally.statistics.withdraw();
+        self.link.exchange.core.tally.statistics.withdraw();
     }
 
     /// Identity of a unit with our register map; `None`: another unit, which counts as hardware.
@@ -361,17 +370,17 @@ pub fn read_batch(
     let mut proving = Duration::ZERO;
     let mut unambiguous = vec![false; requests.len()];
     for round in 0..rounds {
-        let anomalies = client.link.proof.anomalies;
+        let anomalies = client.link.exchange.proof.anomalies;
         let is_last = round + 1 == rounds;
         for (index, request) in requests.iter().enumerate() {
-            if is_last && client.link.proof.could_confuse(&request.pdu()) {
+            if is_last && client.link.exchange.proof.could_confuse(&request.pdu()) {
                 let before = now();
                 // A line that cannot be synchronised fails in the read itself and in the proof at the end.
                 let _ = client.verify();
                 proving += now().duration_since(before);
             }
             let values = client.read(*request);
-            unambiguous[index] = client.link.proof.is_unambiguous;
+            unambiguous[index] = client.link.exchange.proof.is_unambiguous;
             batch.asked += 1;
             if let Err(gone @ LinkError::Gone { .. }) = &values {
                 // No value of this round is proved, and the remaining requests are missing.
@@ -423,7 +432,7 @@ fn verify_round(client: &mut RawClient, batch: &mut Batch, unambiguous: &[bool],
     let doubtful = reads().any(|(read, unambiguous)| is_answer(read) && !unambiguous);
     if doubtful && !has_late {
         let proof = client.verify();
-        if matches!(proof, Ok(true)) && client.link.proof.anomalies == anomalies {
+        if matches!(proof, Ok(true)) && client.link.exchange.proof.anomalies == anomalies {
             return;
         }
     }
@@ -452,7 +461,9 @@ fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>>
     for _ in 0..3 {
         let values = client.prove_for(request).and_then(|()| client.read(request));
         match &values {
-            Ok(_) | Err(LinkError::Exception { .. }) if client.link.proof.is_unambiguous => {
+            Ok(_) | Err(LinkError::Exception { .. })
+                if client.link.exchange.proof.is_unambiguous =>
+            {
                 return values;
             }
             Ok(_) => client.withdraw(),
@@ -463,7 +474,7 @@ fn read_proven(client: &mut RawClient, request: ReadRequest) -> Result<Vec<u16>>
     }
     Err(last.unwrap_or_else(|| {
         LinkError::Corrupt(
-            client.link.core.name.clone(),
+            client.link.exchange.core.name.clone(),
             format!(
                 "the reply for {} registers at {} cannot be vouched for: replies come out of step",
                 request.count, request.address

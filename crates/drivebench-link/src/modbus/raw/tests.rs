@@ -6,8 +6,8 @@ use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::framing::FrameKind;
 use crate::register_bus::RegisterTable;
-use crate::reply::FrameKind;
 use crate::scripted::{Delayed, Scripted, frame};
 use crate::virtual_line::{modbus_link, paused};
 

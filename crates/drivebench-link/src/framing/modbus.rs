@@ -1,63 +1,18 @@
-//! Reply search: which bytes on the line answer the one outstanding request, and which do not.
+//! Replies of Modbus, RTU and TCP.
 //!
-//! A reply is taken only if unit, function, length, echoed fields and checksum (or transaction) all fit the request:
-//! RTU has no transaction number, and common clients take a late reply for the next one.
-
-use std::collections::VecDeque;
+//! A reply is taken only if unit, function, length, echoed fields and check sum (or transaction) all fit the request: RTU has no
+//! transaction number, and common clients take a late reply for the next one.
 
 use firmware_protocol::modbus::{
     Length, expected_response_len, request_len, response_len, rtu, tcp,
 };
 
-use super::unexpected::Unexpected;
-
-/// How frames are separated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum FrameKind {
-    Rtu,
-    Tcp,
-}
-
-/// What the reply has to fit.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Expected {
-    /// The outstanding request as it went out; empty: nothing is outstanding.
-    pub(super) request: Vec<u8>,
-    /// Bytes that the reply must echo as well: the number of its own command.
-    pub(super) echo: Option<Echo>,
-    /// Requests before it, and whether they were answered: what answers one of these is an old reply and not a stranger's.
-    pub(super) earlier: VecDeque<(Vec<u8>, bool)>,
-    /// This line is known to return requests.
-    pub(super) echoes: bool,
-    /// This line is known not to return them: a reply that is no copy of its request came without an echo.
-    pub(super) is_echo_free: bool,
-}
-
-/// Two bytes that prove which request a reply belongs to, and where they stand in its PDU.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Echo {
-    pub(super) at: usize,
-    pub(super) bytes: [u8; 2],
-}
-
-/// Requests that are remembered for naming late replies.
-const EARLIER: usize = 32;
+use super::{Code, Expected, FrameKind, Search, Unframeable};
+use crate::unexpected::Unexpected;
 
 impl Expected {
-    /// The outstanding request is over.
-    pub(super) fn retire(&mut self, is_answered: bool) {
-        self.echo = None;
-        if self.request.is_empty() {
-            return;
-        }
-        if self.earlier.len() == EARLIER {
-            self.earlier.pop_front();
-        }
-        self.earlier.push_back((std::mem::take(&mut self.request), is_answered));
-    }
-
     /// Whether a frame may be the late reply to an earlier request that got none.
-    pub(super) fn may_be_late(&self, frame: &[u8]) -> bool {
+    pub(crate) fn may_be_late(&self, frame: &[u8]) -> bool {
         let response = unit_and_pdu(frame).map(|(_, response)| response).unwrap_or_default();
         let mut unanswered = self.earlier.iter().filter(|(_, is_answered)| !is_answered);
         unanswered.any(|(request, _)| {
@@ -75,88 +30,20 @@ impl Expected {
     }
 }
 
-/// Properties of a reply that identify its request, if it carries no number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Code {
-    /// With the mark of a refusal, if it is one.
-    pub(super) function: u8,
-    pub(super) length: usize,
-}
-
-impl Code {
-    /// Of a whole response frame.
-    pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
-        let (before, behind) = match kind {
-            FrameKind::Rtu => (1, 2),
-            FrameKind::Tcp => (tcp::HEADER, 0),
-        };
-        Some(Self {
-            function: *frame.get(before)?,
-            length: frame.len().checked_sub(before + behind)?,
-        })
-    }
-
-    /// Of the data that this request asks for.
-    pub(super) fn answering(request: &[u8]) -> Self {
-        Self {
-            function: request.first().copied().unwrap_or_default(),
-            length: expected_response_len(request).unwrap_or_default(),
-        }
-    }
-}
-
-/// Contents of the bytes received so far.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Search {
-    /// Begin and end of the reply.
-    pub(super) reply: Option<(usize, usize)>,
-    /// Whole frames that answer an earlier request, or this one with another number.
-    pub(super) old: Vec<Code>,
-    /// Complete frames that answer no request of ours; on a serial line also requests of other masters.
-    pub(super) foreign: usize,
-    /// Those of them that write to our unit: another master commands it.
-    pub(super) foreign_writes: usize,
-    /// The line returned the request itself before the reply.
-    pub(super) echo: bool,
-    /// How the frames differ from the reply; the most particular of them.
-    pub(super) unexpected: Option<Unexpected>,
-}
-
-impl Search {
-    fn differs(&mut self, how: Unexpected) {
-        if self.unexpected.is_none_or(|known| known == Unexpected::Frame) {
-            self.unexpected = Some(how);
-        }
-    }
-
-    fn foreign(&mut self, how: Unexpected) {
-        self.foreign += 1;
-        self.differs(how);
-    }
+pub(super) fn code_of(kind: FrameKind, frame: &[u8]) -> Option<Code> {
+    let (before, behind) = match kind {
+        FrameKind::Tcp => (tcp::HEADER, 0),
+        _ => (1, 2),
+    };
+    Some(Code { function: *frame.get(before)?, length: frame.len().checked_sub(before + behind)? })
 }
 
 /// Whether bytes that are no frame of Modbus TCP begin with one of RTU.
-pub(super) fn begins_with_rtu(received: &[u8]) -> bool {
+pub(crate) fn begins_with_rtu(received: &[u8]) -> bool {
     rtu_frame_len(received, response_len).is_some()
 }
 
-/// The peer does not use Modbus TCP: frames can no longer be separated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Unframeable;
-
-/// Looks through everything received since the request went out.
-pub(super) fn search(
-    kind: FrameKind,
-    expected: &Expected,
-    received: &[u8],
-) -> Result<Search, Unframeable> {
-    match kind {
-        FrameKind::Rtu => Ok(search_rtu(expected, received)),
-        FrameKind::Tcp => search_tcp(expected, received),
-    }
-}
-
-fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
+pub(super) fn search_rtu(expected: &Expected, received: &[u8]) -> Search {
     let mut found = Search::default();
     let request = &expected.request;
     let (unit, pdu) = unit_and_pdu(request).unwrap_or_default();
@@ -243,7 +130,7 @@ fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
 }
 
 /// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
-pub(super) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
+pub(crate) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
     let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
         return None;
     };
@@ -271,7 +158,7 @@ fn answers(request: &[u8], response: &[u8]) -> bool {
         && response.get(..echoed) == request.get(..echoed)
 }
 
-fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeable> {
+pub(super) fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search, Unframeable> {
     let mut found = Search::default();
     let request = &expected.request;
     let pdu = request.get(tcp::HEADER..).unwrap_or_default();
@@ -324,6 +211,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::framing::{EARLIER, Echo, search};
     use crate::scripted::frame;
 
     fn expecting(request: &[u8], echoes: bool) -> Expected {

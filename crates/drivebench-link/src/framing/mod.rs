@@ -1,0 +1,128 @@
+//! Framings: which bytes on the line answer the one outstanding request, and which do not. One file each; this one dispatches.
+
+mod modbus;
+
+use std::collections::VecDeque;
+
+use firmware_protocol::modbus::expected_response_len;
+
+use super::unexpected::Unexpected;
+
+pub(super) use modbus::{begins_with_rtu, rtu_frame_len};
+
+/// How frames are separated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum FrameKind {
+    Rtu,
+    Tcp,
+}
+
+/// What the reply has to fit.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Expected {
+    /// The outstanding request as it went out; empty: nothing is outstanding.
+    pub(super) request: Vec<u8>,
+    /// Bytes that the reply must echo as well: the number of its own command.
+    pub(super) echo: Option<Echo>,
+    /// Requests before it, and whether they were answered: what answers one of these is an old reply and not a stranger's.
+    pub(super) earlier: VecDeque<(Vec<u8>, bool)>,
+    /// This line is known to return requests.
+    pub(super) echoes: bool,
+    /// This line is known not to return them: a reply that is no copy of its request came without an echo.
+    pub(super) is_echo_free: bool,
+}
+
+/// Two bytes that prove which request a reply belongs to, and where they stand in its PDU.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Echo {
+    pub(super) at: usize,
+    pub(super) bytes: [u8; 2],
+}
+
+/// Requests that are remembered for naming late replies.
+const EARLIER: usize = 32;
+
+impl Expected {
+    /// The outstanding request is over.
+    pub(super) fn retire(&mut self, is_answered: bool) {
+        self.echo = None;
+        if self.request.is_empty() {
+            return;
+        }
+        if self.earlier.len() == EARLIER {
+            self.earlier.pop_front();
+        }
+        self.earlier.push_back((std::mem::take(&mut self.request), is_answered));
+    }
+}
+
+/// Properties of a reply that identify its request, if it carries no number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Code {
+    /// With the mark of a refusal, if it is one.
+    pub(super) function: u8,
+    pub(super) length: usize,
+}
+
+impl Code {
+    /// Of a whole response frame.
+    pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
+        match kind {
+            FrameKind::Rtu | FrameKind::Tcp => modbus::code_of(kind, frame),
+        }
+    }
+
+    /// Of the data that this request asks for.
+    pub(super) fn answering(request: &[u8]) -> Self {
+        Self {
+            function: request.first().copied().unwrap_or_default(),
+            length: expected_response_len(request).unwrap_or_default(),
+        }
+    }
+}
+
+/// Contents of the bytes received so far.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Search {
+    /// Begin and end of the reply.
+    pub(super) reply: Option<(usize, usize)>,
+    /// Whole frames that answer an earlier request, or this one with another number.
+    pub(super) old: Vec<Code>,
+    /// Complete frames that answer no request of ours; on a serial line also requests of other masters.
+    pub(super) foreign: usize,
+    /// Those of them that write to our unit: another master commands it.
+    pub(super) foreign_writes: usize,
+    /// The line returned the request itself before the reply.
+    pub(super) echo: bool,
+    /// How the frames differ from the reply; the most particular of them.
+    pub(super) unexpected: Option<Unexpected>,
+}
+
+impl Search {
+    fn differs(&mut self, how: Unexpected) {
+        if self.unexpected.is_none_or(|known| known == Unexpected::Frame) {
+            self.unexpected = Some(how);
+        }
+    }
+
+    fn foreign(&mut self, how: Unexpected) {
+        self.foreign += 1;
+        self.differs(how);
+    }
+}
+
+/// The peer does not use Modbus TCP: frames can no longer be separated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unframeable;
+
+/// Looks through everything received since the request went out.
+pub(super) fn search(
+    kind: FrameKind,
+    expected: &Expected,
+    received: &[u8],
+) -> Result<Search, Unframeable> {
+    match kind {
+        FrameKind::Rtu => Ok(modbus::search_rtu(expected, received)),
+        FrameKind::Tcp => modbus::search_tcp(expected, received),
+    }
+}
