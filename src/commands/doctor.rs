@@ -20,8 +20,8 @@ use crate::runtime::opening::Tap;
 use crate::runtime::output::{Terminal, lines};
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use drivebench_link::{
-    Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings, ReadRequest,
-    RegisterTable, Target, standard_gap_s,
+    CellTable, Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings,
+    ReadRequest, Target, standard_gap_s,
 };
 
 /// List serial ports: stable name, adapter, driver, the program that has them open
@@ -183,7 +183,7 @@ struct Probed {
 }
 
 fn probe(client: &mut RawClient, address: u16) -> Result<Probed, Failure> {
-    let request = ReadRequest { table: RegisterTable::Holding, address, count: 1 };
+    let request = ReadRequest { table: CellTable::Holding, address, count: 1 };
     let mut probed = Probed::default();
     for sent in 0..PROBES {
         if sent >= 3 && !client.has_answered() {

@@ -5,7 +5,7 @@
 use clap::ValueEnum;
 use serde::Serialize;
 
-use drivebench_link::RegisterTable;
+use drivebench_link::CellTable;
 use drivebench_link::register_map::{Kind, Layout, Order};
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
@@ -102,7 +102,7 @@ impl Format {
 
     /// Registers of one value; a text may have any number.
     pub(super) fn registers(self) -> u16 {
-        self.layout().map_or(1, |layout| layout.registers())
+        self.layout().map_or(1, |layout| layout.cells())
     }
 
     /// The values of registers whose number is a multiple of [`Format::registers`].
@@ -114,7 +114,7 @@ impl Format {
             let text = String::from_utf8_lossy(&bytes);
             return vec![Value::Text(text.trim_end_matches(['\0', ' ']).to_owned())];
         };
-        let values = registers.chunks_exact(usize::from(layout.registers()));
+        let values = registers.chunks_exact(usize::from(layout.cells()));
         let number = |words: &[u16]| layout.number(layout.pattern(words).unwrap_or_default());
         values.map(|words| Value::Number(shortest(self.kind, number(words)))).collect()
     }
@@ -265,7 +265,7 @@ pub(super) fn guesses(address: u16, registers: &[u16]) -> Vec<Guess> {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Address {
     pub(super) number: u16,
-    pub(super) table: Option<RegisterTable>,
+    pub(super) table: Option<CellTable>,
     /// As it was given, where it is no protocol address.
     pub(super) notation: Option<String>,
 }
@@ -282,10 +282,10 @@ impl Address {
             let number = lower.strip_prefix(prefix)?.parse::<u32>().ok()?.checked_sub(1)?;
             Some((u16::try_from(number).ok()?, table))
         };
-        let converted = of_table("4x", RegisterTable::Holding)
-            .or_else(|| of_table("3x", RegisterTable::Input))
-            .or_else(|| six(400_001, RegisterTable::Holding))
-            .or_else(|| six(300_001, RegisterTable::Input).filter(|_| lower.starts_with('3')));
+        let converted = of_table("4x", CellTable::Holding)
+            .or_else(|| of_table("3x", CellTable::Input))
+            .or_else(|| six(400_001, CellTable::Holding))
+            .or_else(|| six(300_001, CellTable::Input).filter(|_| lower.starts_with('3')));
         if let Some((number, table)) = converted {
             return Ok(Self { number, table: Some(table), notation: Some(text.to_owned()) });
         }
@@ -302,10 +302,7 @@ impl Address {
 
     /// The protocol address of a converted one.
     pub(super) fn remark(&self) -> Option<String> {
-        let table = match self.table? {
-            RegisterTable::Holding => "holding",
-            RegisterTable::Input => "input",
-        };
+        let table = if self.table? == CellTable::Input { "input" } else { "holding" };
         let notation = self.notation.as_ref()?;
         Some(format!("{notation} is {table} register {} of the protocol", self.number))
     }
@@ -369,7 +366,7 @@ mod tests {
 
     #[test]
     fn addresses_of_manuals_are_converted_where_unambiguous() {
-        use RegisterTable::{Holding, Input};
+        use CellTable::{Holding, Input};
         for (text, expected) in [
             ("0", Some((0, None))),
             ("0x2100", Some((0x2100, None))),

@@ -20,7 +20,7 @@ use crate::runtime::failure::Failure;
 use crate::runtime::output::{Terminal, lines};
 use crate::runtime::{output, signals};
 use drivebench_link::{
-    Batch, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest, RegisterTable,
+    Batch, CellTable, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest,
     WriteFunction, WriteOutcome, Written, read_batch, registers,
 };
 
@@ -129,13 +129,13 @@ impl Span {
     fn request(&self, is_input: bool, format: Option<Format>) -> Result<ReadRequest, Failure> {
         let Address { number: address, table, .. } = self.address;
         let table = match (table, is_input) {
-            (Some(RegisterTable::Holding), true) => {
+            (Some(CellTable::Holding), true) => {
                 let headline = format!("{} is a holding register", self.text());
                 return Err(Failure::usage(headline, "leave --input out, or give 3x..."));
             }
             (Some(table), _) => table,
-            (None, true) => RegisterTable::Input,
-            (None, false) => RegisterTable::Holding,
+            (None, true) => CellTable::Input,
+            (None, false) => CellTable::Holding,
         };
         let each = format.map_or(1, Format::registers);
         let count = self.count.unwrap_or(each);
@@ -239,7 +239,7 @@ struct WriteArguments {
 
 fn write(arguments: &WriteArguments, terminal: &Terminal) -> Result<(), Failure> {
     let address = arguments.address.number;
-    if arguments.address.table == Some(RegisterTable::Input) {
+    if arguments.address.table == Some(CellTable::Input) {
         let headline = format!("{address} is an input register, which nothing writes");
         return Err(Failure::usage(
             headline,
@@ -367,7 +367,7 @@ impl ReadResult {
         let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
         let reads = batch.reads.iter().map(|read| ReadOutcome {
             address: read.request.address,
-            table: (read.request.table == RegisterTable::Input).then_some("input"),
+            table: (read.request.table == CellTable::Input).then_some("input"),
             notation: None,
             format: None,
             decoded: None,
@@ -644,6 +644,6 @@ mod tests {
         }
         assert!(span("4x1").unwrap().request(true, None).is_err(), "a holding register");
         let input = span("3x1").unwrap().request(false, None).unwrap();
-        assert_eq!((input.table, input.address), (RegisterTable::Input, 0));
+        assert_eq!((input.table, input.address), (CellTable::Input, 0));
     }
 }

@@ -5,9 +5,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use super::DriveProfile;
+use super::cell_bus::{CellBus, Put, ReadRequest};
 use super::framing::FrameKind;
-use super::modbus::ModbusBus;
-use super::register_bus::{ReadRequest, RegisterBus};
 use super::scripted::{Delayed, Scripted, frame};
 use super::transaction::StopRequest;
 use super::virtual_line::{modbus_link, paused};
@@ -31,7 +30,7 @@ fn answer(request: &[u8]) -> Vec<u8> {
 type Script = Box<dyn FnMut(usize, &[u8]) -> Vec<Delayed> + Send>;
 
 struct Line {
-    bus: ModbusBus,
+    bus: Box<dyn CellBus>,
     device: Arc<Mutex<Scripted<Script>>>,
     /// Number of the first request without a reply.
     dead_from: Arc<AtomicUsize>,
@@ -55,7 +54,7 @@ fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
         let epoch = now();
         let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &device);
         work(Line {
-            bus: ModbusBus::new(link, &profile.registers.unwrap()),
+            bus: Box::new(link.into_bus(&profile.registers.unwrap(), false)),
             device,
             dead_from,
             epoch,
@@ -77,7 +76,7 @@ impl Line {
                 all = false;
                 continue;
             };
-            assert_eq!(read.words[0] >> 8, address & 0xFF);
+            assert_eq!(read.cells[0] >> 8, address & 0xFF);
             let served = self.device.lock().unwrap().requests.last().unwrap().0;
             let served_s = served.duration_since(self.epoch).as_secs_f64();
             let middle_s = read.span.middle_s();
@@ -107,7 +106,7 @@ fn one_late_reply_moves_no_later_stamp_and_its_silence_ends() {
         assert!((3.0..5.0).contains(&first_s), "{slow:?}");
         let stretch_s = 100.0 * LATE.as_secs_f64();
         assert!((0.5 * stretch_s..1.5 * stretch_s).contains(&(last_s - first_s)), "{slow:?}");
-        let counts = RegisterBus::line(&line.bus).unwrap();
+        let counts = line.bus.line().unwrap();
         assert_eq!(counts.stale_frames, 1);
         assert!(counts.resync_ms > 100, "{counts:?}");
     });
@@ -158,8 +157,12 @@ fn whoever_wants_a_stop_ends_a_resynchronisation_at_once() {
             assert!(after <= Duration::from_millis(5), "{after_ms}: {after:?}");
             // The stop follows, with a short deadline for its own reply, and the next request does not wait for it.
             let (began, before) = (now(), line.requests());
-            assert!(line.bus.write_at_once(6, 0x1026, &[0]).is_err());
-            assert!(line.bus.write_at_once(6, 0x1000, &[0]).is_err());
+            assert!(
+                line.bus.write_at_once(Put { function: 6, address: 0x1026, cells: &[0] }).is_err()
+            );
+            assert!(
+                line.bus.write_at_once(Put { function: 6, address: 0x1000, cells: &[0] }).is_err()
+            );
             assert_eq!(line.requests(), before + 2);
             let last = line.device.lock().unwrap().requests[before + 1].0;
             let last = last.duration_since(began);

@@ -2,9 +2,10 @@
 
 use serde::Serialize;
 
+use super::cell_bus::{CellTable, Put};
+use super::framing::{FrameKind, Turn, read_bytes, read_write_bytes, write_bytes};
 use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
 use super::profile::DriveProfile;
-use super::register_bus::{RTU, RegisterTable};
 use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
 use super::settings::{Framing, LinkSettings, Protocol};
 use super::stream;
@@ -44,20 +45,21 @@ impl MeasuredLine {
             + self.added_s
     }
 
-    /// Duration of a read of `registers`, s: function code 3, a request of 8 bytes and a reply of 5 + 2 n.
+    fn turn_s(&self, (request_bytes, reply_bytes): (usize, usize)) -> f64 {
+        self.exchange_s(request_bytes as f64, reply_bytes as f64)
+    }
+
+    /// Duration of a read of `registers` with function code 3, s.
     pub fn read_s(&self, registers: u16) -> f64 {
-        let reply = RTU.read_reply as f64 + 2.0 * f64::from(registers);
-        self.exchange_s(RTU.read as f64, reply)
+        self.turn_s(read_bytes(registers.into()))
     }
 
     pub fn rates(&self) -> LoopRates {
         // A typical cycle of a loop: ten registers read, two written.
-        let reply = RTU.read_reply as f64 + 20.0;
-        let both = self.exchange_s(RTU.read_write as f64 + 4.0, reply);
-        let write = self.exchange_s(RTU.write as f64 + 8.0, RTU.written as f64);
+        let two = self.turn_s(write_bytes(16, 4)) + self.turn_s(read_bytes(10));
         LoopRates {
-            read_write_hz: both.recip(),
-            write_then_read_hz: (write + self.exchange_s(RTU.read as f64, reply)).recip(),
+            read_write_hz: self.turn_s(read_write_bytes(2, 10)).recip(),
+            write_then_read_hz: two.recip(),
         }
     }
 }
@@ -218,21 +220,20 @@ impl LostReply {
 pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
     let joined = joint_point(map).zip(joint_block(map, &blocks));
-    let bytes = |point: &SetPoint| 2 * usize::from(point.location.layout.registers());
+    let zeros = [0; 4];
+    let put = |point: &SetPoint| Put {
+        function: point.function,
+        address: point.location.address,
+        cells: &zeros[..point.location.layout.cells().into()],
+    };
     let reads = blocks.iter().enumerate().map(|(at, block)| {
-        let request = match joined {
-            Some((point, with)) if with == at => RTU.read_write + bytes(point),
-            _ => RTU.read,
-        };
-        (request, block.read.reply_bytes())
+        let with = joined.filter(|(_, with)| *with == at).map(|(point, _)| put(point));
+        Turn { put: with, read: Some(block.read) }
     });
     let reference = map.set_points.iter().find(|point| !point.is_word());
     let alone = reference.filter(|_| joined.is_none());
-    let write = alone.map(|point| match point.function {
-        6 => (RTU.written, RTU.written),
-        _ => (RTU.write + bytes(point), RTU.written),
-    });
-    reads.chain(write).collect()
+    let write = alone.map(|point| Turn::write(put(point)));
+    reads.chain(write).map(|turn| FrameKind::Rtu.bytes(turn)).collect()
 }
 
 /// The first reference that may go out together with a read.
@@ -243,14 +244,14 @@ fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
 /// Whether function code 23 may write it together with the read.
 pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
     // Function code 23 writes up to 121 registers (Modbus Application Protocol 1.1b3, 6.17).
-    let fits = point.location.layout.registers() <= map.max_write.min(121);
+    let fits = point.location.layout.cells() <= map.max_write.min(121);
     fits && point.is_reference() && !point.keys.readback
 }
 
 /// Position of the block that function code 23 can read: it has holding registers only.
 pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
     let can = map.functions.contains(&23);
-    let is_holding = |block: &ReadBlock| block.read.table == RegisterTable::Holding;
+    let is_holding = |block: &ReadBlock| block.read.table == CellTable::Holding;
     can.then(|| fast.iter().position(is_holding)).flatten()
 }
 

@@ -55,6 +55,17 @@ pub(super) struct Query<'a> {
     pub(super) requested: Requested,
 }
 
+impl<'a> Query<'a> {
+    pub(super) const fn plain(
+        pdu: [u8; 5],
+        what: &'a str,
+        allowed: Duration,
+        requested: Requested,
+    ) -> Self {
+        Self { pdu, what, allowed, is_probe: false, is_numbered: false, requested }
+    }
+}
+
 /// Why a request got no data.
 pub(super) enum NoData {
     /// The drive refused it, with this code.

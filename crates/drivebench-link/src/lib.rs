@@ -20,17 +20,19 @@
 //!                  +-- reopen.rs (reconnection: times, port name, check of the identity)
 //! ```
 //!
-//! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`RegisterBus`].
+//! A drive with a register map of its own: `register_map/` (facts) -> `profiled.rs` -> [`CellBus`].
 //! A reply that cannot be proved to answer the one outstanding request is never a sample.
 
 #[cfg(test)]
 mod bounded_tests;
 mod budget;
 pub mod burst;
+mod cell_bus;
 mod command_times;
 mod exceptions;
 mod exchange;
 mod framing;
+mod line_bus;
 mod link;
 mod link_core;
 mod link_error;
@@ -43,7 +45,6 @@ mod probe;
 mod profile;
 mod profiled;
 mod proof;
-mod register_bus;
 pub mod register_map;
 mod reopen;
 mod reply_filter;
@@ -62,14 +63,17 @@ mod waiting;
 
 pub use budget::{AdapterRate, LineBudget, LoopRates, LostReply, MeasuredLine};
 pub use burst::{Burst, Capture};
+pub use cell_bus::{
+    CellBus, CellTable, CellsRead, MOST_READ, MOST_WRITTEN, Put, ReadRequest, Span, registers,
+};
 pub use command_times::CommandTimes;
 pub use exceptions::{Requested, exception_name};
 pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
 pub use link_core::stop_confirmed;
 pub use link_error::Result;
 pub use modbus::{
-    Batch, ModbusBus, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction,
-    WriteOutcome, Written, read_batch,
+    Batch, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome,
+    Written, read_batch,
 };
 pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
 pub use probe::{
@@ -78,10 +82,6 @@ pub use probe::{
 };
 pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
 pub use profiled::ProfiledLink;
-pub use register_bus::{
-    MOST_READ, MOST_WRITTEN, ReadRequest, RegisterBus, RegisterTable, RegistersRead, Span,
-    registers,
-};
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
 pub use stream::StreamLink;

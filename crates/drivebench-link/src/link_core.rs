@@ -5,8 +5,8 @@ use std::time::Instant;
 
 use firmware_protocol::{DriveCommand, Telemetry};
 
+use super::cell_bus::Span;
 use super::link::{LinkError, Result, Tally};
-use super::register_bus::Span;
 use super::timeline::{self, Timeline};
 use super::timing::LineTiming;
 use super::transaction::Bound;

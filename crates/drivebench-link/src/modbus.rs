@@ -9,10 +9,9 @@
 //! what was read nor when: only function, unit and length. Windows of a burst carry their own index in front, so no late
 //! window can be taken for another.
 //!
-//! Over the exchanges of exchange.rs. bus.rs shows the link as registers, for drives with a map of their own; raw.rs as registers of
+//! Over the exchanges of exchange.rs. `line_bus.rs` shows the link as cells, for drives with a map of their own; raw.rs as registers of
 //! any unit.
 
-mod bus;
 mod raw;
 
 use std::borrow::Cow;
@@ -28,12 +27,14 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
+use super::cell_bus::{CellBus, CellTable, Put, ReadRequest, registers};
 use super::exceptions::{BusyPauses, Requested};
 use super::exchange::{Exchange, NoData, Query};
-use super::framing::{Echo, FrameKind};
+use super::framing::{Echo, FrameKind, Turn, read_bytes, read_write_bytes, write_bytes};
+use super::line_bus::{Language, LineBus};
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::{Answer, own_link, stop_confirmed};
-use super::register_bus::{RTU, ReadRequest, RegisterTable, registers};
+use super::register_map::RegisterMap;
 use super::reply_filter::ReplyFilter;
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::{LineTiming, wait_until};
@@ -41,7 +42,6 @@ use super::transaction::{LineCounts, StopRequest};
 use super::waiting::now;
 use drivebench_model::sample::{Command, Sample};
 
-pub use bus::ModbusBus;
 pub use raw::{
     Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written,
     read_batch,
@@ -51,8 +51,8 @@ pub use raw::{
 const NAMES_BYTES: (usize, usize) = (7, 256);
 const NAMES: &str = "the device identification";
 /// RTU frames of a command and of its reply.
-pub(super) const COMMAND_BYTES: usize = RTU.read_write + 2 * COMMAND_WORDS;
-pub(super) const TELEMETRY_BYTES: usize = RTU.read_reply + 2 * TELEMETRY_WORDS;
+pub(super) const COMMAND_BYTES: usize = read_write_bytes(COMMAND_WORDS, TELEMETRY_WORDS).0;
+pub(super) const TELEMETRY_BYTES: usize = read_write_bytes(COMMAND_WORDS, TELEMETRY_WORDS).1;
 
 pub struct ModbusLink {
     // Before the exchange, whose runtime it uses.
@@ -67,7 +67,7 @@ pub struct ModbusLink {
 }
 
 /// The client of tokio-modbus on the line of an exchange.
-struct Client {
+pub(super) struct Client {
     context: Context,
     unit: u8,
 }
@@ -94,11 +94,7 @@ impl<'a> Question<'a> {
     }
 
     fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
-        let request = match read.table {
-            RegisterTable::Holding => Request::ReadHoldingRegisters(read.address, read.count),
-            RegisterTable::Input => Request::ReadInputRegisters(read.address, read.count),
-        };
-        Self::plain(request, read.pdu(), what, allowed)
+        Self::plain(read_registers(read), read.pdu(), what, allowed)
     }
 
     /// A probe of the proof. The filter compares all its bytes.
@@ -111,7 +107,8 @@ impl<'a> Question<'a> {
             4 => (Request::ReadInputRegisters(address, count), count),
             _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
         };
-        let allowed = timing.hurried(RTU.read, RTU.read_reply + 2 * usize::from(words));
+        let (request_bytes, reply_bytes) = read_bytes(words.into());
+        let allowed = timing.hurried(request_bytes, reply_bytes);
         let mut question = Self::plain(request, pdu, "the probe", allowed);
         question.query.is_probe = true;
         question
@@ -120,6 +117,13 @@ impl<'a> Question<'a> {
     const fn numbered(mut self) -> Self {
         self.query.is_numbered = true;
         self
+    }
+}
+
+fn read_registers<'a>(read: ReadRequest) -> Request<'a> {
+    match read.table {
+        CellTable::Input => Request::ReadInputRegisters(read.address, read.count),
+        _ => Request::ReadHoldingRegisters(read.address, read.count),
     }
 }
 
@@ -137,7 +141,7 @@ impl Client {
     }
 
     /// One request and its reply; who calls has listened.
-    fn call<T>(
+    fn ask<T>(
         &mut self,
         exchange: &mut Exchange,
         question: Question<'_>,
@@ -152,6 +156,52 @@ impl Client {
             self.attach(exchange);
         }
         answer
+    }
+}
+
+impl Language for Client {
+    fn call(
+        &mut self,
+        exchange: &mut Exchange,
+        turn: Turn<'_>,
+        query: Query<'_>,
+    ) -> Result<Answer<Vec<u16>>> {
+        let request = match (turn.put, turn.read) {
+            (None, read) => read_registers(read.unwrap_or(ReadRequest::holding(0, 0))),
+            (Some(Put { function: 6, address, cells: [value] }), None) => {
+                Request::WriteSingleRegister(address, *value)
+            }
+            (Some(put), None) => {
+                Request::WriteMultipleRegisters(put.address, Cow::Borrowed(put.cells))
+            }
+            (Some(put), Some(read)) => Request::ReadWriteMultipleRegisters(
+                read.address,
+                read.count,
+                put.address,
+                Cow::Borrowed(put.cells),
+            ),
+        };
+        let count = turn.read.map(|read| usize::from(read.count));
+        self.ask(exchange, Question { request, query }, |response| match count {
+            Some(count) => words(count)(response),
+            None => acknowledged(response).map(|()| Vec::new()),
+        })
+    }
+
+    fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()> {
+        let question = Question::probe(pdu, &exchange.core.timing);
+        self.ask(exchange, question, |_| Ok(())).map(drop)
+    }
+
+    fn object(&mut self, exchange: &mut Exchange, object: u8) -> Result<Option<String>> {
+        let allowed = exchange.core.timing.allowed(NAMES_BYTES.0, NAMES_BYTES.1);
+        let question = identification(ReadCode::Specific, object, NAMES, allowed);
+        exchange.in_step(&question.query.pdu, |exchange, pdu| self.probe(exchange, pdu))?;
+        match self.ask(exchange, question, objects) {
+            Ok(objects) => Ok(object_text(&objects.value, object)),
+            Err(LinkError::Exception { .. }) => Ok(None),
+            Err(error) => Err(error),
+        }
     }
 }
 
@@ -181,10 +231,19 @@ impl ModbusLink {
         }
     }
 
+    /// The link as a bus of cells, for a drive with a map of its own.
+    pub fn into_bus(self, map: &RegisterMap, is_emulated: bool) -> impl CellBus + use<> {
+        LineBus::new(self.client, self.exchange, map).emulated(is_emulated)
+    }
+
+    fn allowed(&self, (request_bytes, reply_bytes): (usize, usize)) -> Duration {
+        self.exchange.core.timing.allowed(request_bytes, reply_bytes)
+    }
+
     /// Raw registers, 1 to 125 of them.
     pub fn read_registers(
         &mut self,
-        table: RegisterTable,
+        table: CellTable,
         address: u16,
         count: u16,
     ) -> Result<Vec<u16>> {
@@ -193,7 +252,7 @@ impl ModbusLink {
     }
 
     fn read_checked(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
-        let allowed = self.exchange.core.timing.allowed(RTU.read, read.reply_bytes());
+        let allowed = self.allowed(read_bytes(read.count.into()));
         self.read_with_retries(&Question::read(read, what, allowed), words(read.count.into()))
     }
 
@@ -201,8 +260,7 @@ impl ModbusLink {
     pub fn write_registers(&mut self, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
         let request = Request::WriteMultipleRegisters(address, Cow::Borrowed(values));
-        let bytes = RTU.write + 2 * values.len();
-        let allowed = self.exchange.core.timing.allowed(bytes, RTU.written);
+        let allowed = self.allowed(write_bytes(16, values.len()));
         let question = Question::plain(request, [16, 0, 0, 0, 0], &what, allowed);
         self.ask(question, acknowledged).map(|answer| answer.value)
     }
@@ -236,7 +294,7 @@ impl ModbusLink {
     /// Reads the drive's clock: raw, us, and on the time axis of the samples, s.
     fn note_clock(&mut self) -> Result<(u32, f64)> {
         let read = telemetry_request();
-        let allowed = self.exchange.core.timing.allowed(RTU.read, read.reply_bytes());
+        let allowed = self.allowed(read_bytes(read.count.into()));
         let question = Question::read(read, "the telemetry", allowed);
         let answer = self.read_with_retries(&question, telemetry)?;
         let time_us = answer.value.time_us;
@@ -245,7 +303,7 @@ impl ModbusLink {
 
     fn window(&mut self, index: u16) -> Result<Vec<u16>> {
         let sent = [index];
-        let bytes = (RTU.read_write + 2, RTU.read_reply + 2 * WINDOW_WORDS);
+        let bytes = read_write_bytes(1, WINDOW_WORDS);
         let allowed = self.exchange.core.timing.unhurried(bytes.0, bytes.1);
         let request = Request::ReadWriteMultipleRegisters(
             WINDOW_ADDRESS,
@@ -283,10 +341,7 @@ impl ModbusLink {
 
     fn in_step(&mut self, pdu: &[u8]) -> Result<()> {
         let Self { client, exchange, .. } = self;
-        exchange.in_step(pdu, |exchange, pdu| {
-            let question = Question::probe(pdu, &exchange.core.timing);
-            client.call(exchange, question, |_| Ok(())).map(drop)
-        })
+        exchange.in_step(pdu, |exchange, pdu| client.probe(exchange, pdu))
     }
 
     fn call<T>(
@@ -294,7 +349,7 @@ impl ModbusLink {
         question: Question<'_>,
         check: impl FnOnce(Response) -> Result<T, String>,
     ) -> Result<Answer<T>> {
-        self.client.call(&mut self.exchange, question, check)
+        self.client.ask(&mut self.exchange, question, check)
     }
 
     /// Repeats a read for a while as long as the unit is busy. Not within the bound of an exchange: there the next cycle reads again.
@@ -396,7 +451,7 @@ impl Burst for ModbusLink {
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>> {
-        let table = RegisterTable::Holding;
+        let table = CellTable::Holding;
         // State, count and the drive time of the first sample of a burst.
         let head = self.read_registers(table, CAPTURE_STATE.address, 4)?;
         let [state, count, high, low] = head[..] else {

@@ -12,7 +12,7 @@ use super::exchange::Exchange;
 use super::framing::FrameKind;
 use super::link::{DriveLink, LinkError, Result};
 use super::link_error::OVER_TCP;
-use super::modbus::{ModbusBus, ModbusLink};
+use super::modbus::ModbusLink;
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
@@ -119,7 +119,7 @@ pub fn open_tapped(
 pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn DriveLink> {
     match &profile.registers {
         Some(map) => {
-            let bus = ModbusBus::new(link, map).emulated(profile.link.emulated);
+            let bus = link.into_bus(map, profile.link.emulated);
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
         None => Box::new(link),

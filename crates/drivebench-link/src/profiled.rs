@@ -1,7 +1,7 @@
 //! Link to a drive with a register map of its own: executes the commands of its profile.
 //!
 //! ```text
-//! Demand -> decide: enable | set-point | stop | reset -> Sequence (steps with deadlines) -> writes -> [ RegisterBus ]
+//! Demand -> decide: enable | set-point | stop | reset -> Sequence (steps with deadlines) -> writes -> [ CellBus ]
 //! Sample <- units, validity, state <- Readings <-------------------------------------------- reads <-'
 //! ```
 //!
@@ -25,11 +25,11 @@ use self::points::{PATIENCE_S, Points, is_accepted};
 use self::readings::{Clock, Joined, Readings};
 use self::sequence::{Next, Sequence};
 use super::budget::cycle_frames;
+use super::cell_bus::{CellBus, Put, Span};
 use super::command_times::CommandTimes;
 use super::exceptions::BusyPauses;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::polling_backoff::PollingBackoff;
-use super::register_bus::{RegisterBus, Span};
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
 use super::transaction::{LineCounts, StopRequest};
@@ -82,7 +82,7 @@ pub struct ProfiledLink<B> {
     in_fault_since_s: Option<f64>,
 }
 
-impl<B: RegisterBus> ProfiledLink<B> {
+impl<B: CellBus> ProfiledLink<B> {
     pub fn new(map: Arc<RegisterMap>, bus: B) -> Self {
         Self {
             readings: Readings::new(Arc::clone(&map)),
@@ -198,8 +198,8 @@ impl<B: RegisterBus> ProfiledLink<B> {
                 (self.is_unsent, put_s) = (false, None);
                 let written = Err(error);
                 match joined.as_ref().filter(|_| is_accepted(&written)) {
-                    Some(Joined { at, registers }) => {
-                        self.points.accepted(&mut self.bus, *at, registers)?;
+                    Some(Joined { at, cells }) => {
+                        self.points.accepted(&mut self.bus, *at, cells)?;
                     }
                     None => held_back(&mut refused, written)?,
                 }
@@ -616,13 +616,13 @@ impl<B: RegisterBus> ProfiledLink<B> {
         if let Some(set_s) = set_s {
             let has_single = self.map.functions.contains(&6);
             let function = if has_single { 6 } else { 16 };
-            let registers = location.layout.encode(set_s / unit_s).ok_or_else(|| {
+            let cells = location.layout.encode(set_s / unit_s).ok_or_else(|| {
                 self.refused(format!("watchdog time {set_s} s does not fit its register"))
             })?;
-            self.bus.write(function, location.address, &registers)?;
+            self.bus.write(Put { function, address: location.address, cells: &cells })?;
         }
-        let registers = self.bus.read(location.request())?.words;
-        let raw = location.layout.pattern(&registers).unwrap_or_default();
+        let cells = self.bus.read(location.request())?.cells;
+        let raw = location.layout.pattern(&cells).unwrap_or_default();
         let time_s = location.layout.number(raw) * unit_s;
         if let Some(set_s) = set_s
             && (time_s - set_s).abs() > 0.5 * unit_s
@@ -667,7 +667,7 @@ fn gone(result: Result<()>) -> Result<()> {
     }
 }
 
-impl<B: RegisterBus> DriveLink for ProfiledLink<B> {
+impl<B: CellBus> DriveLink for ProfiledLink<B> {
     fn name(&self) -> LinkName {
         self.bus.name()
     }

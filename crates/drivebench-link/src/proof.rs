@@ -17,9 +17,9 @@
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
+use super::cell_bus::{CellTable, MOST_READ, ReadRequest};
 use super::framing::Code;
 use super::link::{LinkError, Result};
-use super::register_bus::{MOST_READ, ReadRequest, RegisterTable};
 use super::transaction::{OldReply, Reception};
 
 /// Time without a silence, in silences, after which the line is given up.
@@ -586,9 +586,9 @@ impl Proof {
                     requests.any(|request| request.head[0] == 4 && !request.is_answered)
                 };
                 let table = match place.map(|place| place.table) {
-                    Some(RegisterTable::Input) => RegisterTable::Holding,
-                    None if input_refused() => RegisterTable::Holding,
-                    _ => RegisterTable::Input,
+                    Some(CellTable::Input) => CellTable::Holding,
+                    None if input_refused() => CellTable::Holding,
+                    _ => CellTable::Input,
                 };
                 let address = place.map_or(0, |place| place.address);
                 let mut reads = (1..=4).map(|count| ReadRequest { table, address, count });

@@ -8,8 +8,8 @@ use firmware_protocol::{
     Control, DeviceKind, DriveCommand, Fault, IdentityError, State, Telemetry,
 };
 
+use super::cell_bus::Span;
 use super::link::{Identity, LinkError};
-use super::register_bus::Span;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
 
 /// The drive's microsecond counter as seconds since the link connected: the first counter seen is 0.

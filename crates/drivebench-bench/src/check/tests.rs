@@ -13,7 +13,7 @@ use drivebench_emulator::{
     EmulatorConfig, FaultsConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive,
     VirtualClock, mystery,
 };
-use drivebench_link::{CommandTimes, ProfiledLink, RegisterBus};
+use drivebench_link::{CellBus, CommandTimes, ProfiledLink, Put};
 
 const NONE: Waivers = Waivers { watchdog: false, direction: false, plausibility: false };
 const NO_WATCHDOG: Waivers = Waivers { watchdog: true, ..NONE };
@@ -512,7 +512,7 @@ fn a_wrong_word_order_or_scale_of_speed_stops_the_pulse() {
 fn a_set_point_with_another_readback_is_refused_at_rest() {
     let mut host = Host::right();
     let bus = host.link.bus_mut();
-    bus.write(16, 0x1026, &[5, 0]).unwrap();
+    bus.write(Put { function: 16, address: 0x1026, cells: &[5, 0] }).unwrap();
     bus.drive_mut().ignore(Some("speed_ref"));
     refuses(&host.check(false), "set-points", "setpoint speed_ref was written as");
     assert!(!host.is_running());
@@ -524,7 +524,7 @@ fn a_drive_that_runs_already_is_refused_untouched() {
         let mut host = Host::right();
         let bus = host.link.bus_mut();
         for (address, words) in [(0x0010, &[2][..]), (0x1000, &[1]), (0x1026, &[0, 9990])] {
-            bus.write(16, address, words).unwrap();
+            bus.write(Put { function: 16, address, cells: words }).unwrap();
         }
         host.clock.set_time_s(2.0);
         let report = host.check(reset_fault);

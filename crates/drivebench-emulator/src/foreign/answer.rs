@@ -3,7 +3,7 @@
 use firmware_protocol::modbus::{Exception, RegisterBank, respond};
 
 use super::ForeignDrive;
-use drivebench_link::{KickedBy, RegisterTable};
+use drivebench_link::{CellTable, KickedBy};
 
 impl ForeignDrive {
     pub fn answer(&mut self, request: &[u8]) -> Vec<u8> {
@@ -18,8 +18,8 @@ impl ForeignDrive {
             return vec![function | 0x80, code];
         }
         let table = match function {
-            4 => RegisterTable::Input,
-            _ => RegisterTable::Holding,
+            4 => CellTable::Input,
+            _ => CellTable::Holding,
         };
         if let Some(late_s) = self.accepts_for_s.filter(|_| writes && function != 23) {
             self.accepted.push_back((self.soft.time_s() + late_s, request.to_vec()));
@@ -40,14 +40,13 @@ impl ForeignDrive {
         let now_s = self.soft.time_s();
         while self.accepted.front().is_some_and(|(due_s, _)| *due_s <= now_s) {
             let (_, request) = self.accepted.pop_front().unwrap_or_default();
-            respond(&mut Bank { drive: self, table: RegisterTable::Holding }, &request);
+            respond(&mut Bank { drive: self, table: CellTable::Holding }, &request);
         }
     }
 
     fn is_writable(&self, address: u16) -> bool {
         let points = self.map.set_points.iter().map(|point| point.location);
-        let mut points =
-            points.map(|at| at.address..at.address.saturating_add(at.layout.registers()));
+        let mut points = points.map(|at| at.address..at.address.saturating_add(at.layout.cells()));
         let time = self.map.watchdog.time;
         points.any(|addresses| addresses.contains(&address))
             || time.is_some_and(|(at, _)| at.address == address)
@@ -56,7 +55,7 @@ impl ForeignDrive {
 
 struct Bank<'a> {
     drive: &'a mut ForeignDrive,
-    table: RegisterTable,
+    table: CellTable,
 }
 
 impl RegisterBank for Bank<'_> {

@@ -7,7 +7,7 @@ use super::{ForeignDrive, Guise};
 use crate::VirtualClock;
 use crate::pace::Pace;
 use drivebench_link::{
-    LinkError, LinkName, LinkStatistics, ReadRequest, RegisterBus, RegisterTable, RegistersRead,
+    CellBus, CellTable, CellsRead, LinkError, LinkName, LinkStatistics, Put, ReadRequest,
     Requested, Span, exception_name,
 };
 
@@ -86,7 +86,7 @@ impl ForeignBus {
         what: impl Fn() -> String,
     ) -> Result<(Vec<u8>, Span)> {
         self.statistics.sent += 1;
-        self.now_s = RegisterBus::now_s(self);
+        self.now_s = CellBus::now_s(self);
         let asked_s = self.pace.departure_s(self.now_s);
         let mut arrived_s = self.now_s;
         for _ in 0..request.len() + FRAME_BYTES {
@@ -131,14 +131,15 @@ impl ForeignBus {
         Ok((answer, span))
     }
 
-    fn get(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<RegistersRead> {
+    fn get(&mut self, request: &[u8], what: impl Fn() -> String) -> Result<CellsRead> {
         let (answer, span) = self.exchange(request, DEADLINE_S, what)?;
         let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
-        let words = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
-        Ok(RegistersRead { words, span })
+        let cells = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
+        Ok(CellsRead { cells, span })
     }
 
-    fn put(&mut self, function: u8, address: u16, values: &[u16], timeout_s: f64) -> Result<Span> {
+    fn put(&mut self, put: Put<'_>, timeout_s: f64) -> Result<Span> {
+        let Put { function, address, cells: values } = put;
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         if function != 6 {
@@ -158,7 +159,7 @@ fn counted(values: &[u16]) -> [u8; 3] {
     [high, low, bytes]
 }
 
-impl RegisterBus for ForeignBus {
+impl CellBus for ForeignBus {
     fn name(&self) -> LinkName {
         LinkName("sim:".to_owned())
     }
@@ -172,33 +173,31 @@ impl RegisterBus for ForeignBus {
         self.drive.advance_to(self.now_s);
     }
 
-    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead> {
+    fn read(&mut self, read: ReadRequest) -> Result<CellsRead> {
         let (address, count) = (read.address, read.count);
         let function = match read.table {
-            RegisterTable::Holding => 3,
-            RegisterTable::Input => 4,
+            CellTable::Input => 4,
+            _ => 3,
         };
         let mut request = vec![function];
         request.extend(address.to_be_bytes());
         request.extend(count.to_be_bytes());
-        self.now_s = RegisterBus::now_s(self) + self.silence_s;
+        self.now_s = CellBus::now_s(self) + self.silence_s;
         self.get(&request, || format!("read {count} registers at {address}"))
     }
 
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
-        self.put(function, address, values, DEADLINE_S)
+    fn write(&mut self, put: Put<'_>) -> Result<Span> {
+        self.put(put, DEADLINE_S)
     }
 
-    fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
+    fn write_at_once(&mut self, put: Put<'_>) -> Result<Span> {
         let timeout_s = if self.in_doubt { 0.0 } else { DEADLINE_S };
-        self.put(function, address, values, timeout_s)
+        self.put(put, timeout_s)
     }
 
-    fn read_write(
-        &mut self,
-        (to, values): (u16, &[u16]),
-        (from, count): (u16, u16),
-    ) -> Result<RegistersRead> {
+    fn read_write(&mut self, put: Put<'_>, read: ReadRequest) -> Result<CellsRead> {
+        let Put { address: to, cells: values, .. } = put;
+        let ReadRequest { address: from, count, .. } = read;
         let mut request = vec![23];
         request.extend(from.to_be_bytes());
         request.extend(count.to_be_bytes());

@@ -29,7 +29,7 @@ use super::{EmulatorConfig, SoftDrive};
 use drivebench_link::register_map::{
     Expiry, Kind, Quantity, RegisterMap, SetPoint, SupervisionKind, Unit,
 };
-use drivebench_link::{DriveProfile, KickedBy, RegisterTable};
+use drivebench_link::{CellTable, DriveProfile, KickedBy};
 use drivebench_model::sample::Hindrance;
 
 /// Period of the drive's own control, s.
@@ -379,7 +379,7 @@ impl ForeignDrive {
     /// A reference as it was written, with its sign.
     fn value(&self, point: &SetPoint) -> Option<f64> {
         let address = point.location.address;
-        let count = point.location.layout.registers();
+        let count = point.location.layout.cells();
         let registers: Option<Vec<u16>> = (address..address.checked_add(count)?)
             .map(|address| self.written.get(&address).copied())
             .collect();
@@ -451,26 +451,25 @@ impl ForeignDrive {
         }
     }
 
-    fn is_mapped(&self, table: RegisterTable, address: u16) -> bool {
+    fn is_mapped(&self, table: CellTable, address: u16) -> bool {
         let within = |first: u16, count: u16| {
             u32::from(address) >= u32::from(first)
                 && u32::from(address) < u32::from(first) + u32::from(count)
         };
         let signals = self.map.signals.iter().any(|signal| {
             let at = signal.location;
-            at.table == table && within(at.address, at.layout.registers())
+            at.table == table && within(at.address, at.layout.cells())
         });
-        let points = table == RegisterTable::Holding || !self.map.functions.contains(&3);
+        let points = table == CellTable::Holding || !self.map.functions.contains(&3);
         let points = points
             && self
                 .map
                 .set_points
                 .iter()
-                .any(|point| within(point.location.address, point.location.layout.registers()));
+                .any(|point| within(point.location.address, point.location.layout.cells()));
         let exact = self.map.exact_reads.iter().any(|(first, count)| within(*first, *count));
         let time = self.map.watchdog.time.as_ref();
-        let time =
-            table == RegisterTable::Holding && time.is_some_and(|(at, _)| at.address == address);
+        let time = table == CellTable::Holding && time.is_some_and(|(at, _)| at.address == address);
         signals || points || exact || time
     }
 }

@@ -3,7 +3,7 @@
 use std::f64::consts::{SQRT_2, TAU};
 
 use super::{Cause, FIELD_A, ForeignDrive};
-use drivebench_link::RegisterTable;
+use drivebench_link::CellTable;
 use drivebench_link::register_map::{Byte, Condition, Kind, Layout, Order, Quantity, Signal, Unit};
 use drivebench_model::sample::Hindrance;
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
@@ -41,6 +41,8 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
         (Kind::U16, [a, b]) => u16::from_be_bytes([*a, *b]).into(),
         (Kind::I16, [a, b]) => i16::from_be_bytes([*a, *b]).into(),
         (Kind::U32, [a, b, c, d]) => u32::from_be_bytes([*a, *b, *c, *d]).into(),
+        (Kind::U8, [_, a]) => (*a).into(),
+        (Kind::I8, [_, a]) => i8::from_be_bytes([*a]).into(),
         (Kind::I32, [a, b, c, d]) => i32::from_be_bytes([*a, *b, *c, *d]).into(),
         (Kind::F32, [a, b, c, d]) => f32::from_be_bytes([*a, *b, *c, *d]).into(),
         _ => f64::NAN,
@@ -56,6 +58,8 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
 pub(super) fn bits(kind: Kind, raw: f64) -> u32 {
     let raw_whole = raw.round_ties_even();
     match kind {
+        Kind::U8 => (raw_whole.abs() as u8).into(),
+        Kind::I8 => u8::from_be_bytes((raw_whole as i8).to_be_bytes()).into(),
         Kind::U16 => (raw_whole.abs() as u16).into(),
         Kind::I16 => u16::from_be_bytes((raw_whole as i16).to_be_bytes()).into(),
         Kind::U32 => raw_whole.abs() as u32,
@@ -78,6 +82,8 @@ fn count(raw: f64, span: f64) -> u32 {
 pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
     let [b3, b2, b1, b0] = bits.to_be_bytes();
     match kind {
+        Kind::U8 => b0.into(),
+        Kind::I8 => i8::from_be_bytes([b0]).into(),
         Kind::U16 => u16::from_be_bytes([b1, b0]).into(),
         Kind::I16 => i16::from_be_bytes([b1, b0]).into(),
         Kind::U32 => bits.into(),
@@ -99,7 +105,7 @@ const fn with_condition(word: u32, condition: &Condition, holds: bool) -> u32 {
 
 impl ForeignDrive {
     /// One register; `None`: it is not there.
-    pub(super) fn register(&mut self, table: RegisterTable, address: u16) -> Option<u16> {
+    pub(super) fn register(&mut self, table: CellTable, address: u16) -> Option<u16> {
         let map = std::sync::Arc::clone(&self.map);
         let mut word = None;
         for signal in &map.signals {
@@ -107,7 +113,7 @@ impl ForeignDrive {
             let Some(offset) = address.checked_sub(at.address) else {
                 continue;
             };
-            if at.table != table || offset >= at.layout.registers() {
+            if at.table != table || offset >= at.layout.cells() {
                 continue;
             }
             let (value, mask) = self.shown(signal, offset);
@@ -133,7 +139,7 @@ impl ForeignDrive {
     }
 
     /// An unused register that lies between used ones: drives answer it within the reach of a block.
-    fn is_hole(&self, table: RegisterTable, address: u16) -> bool {
+    fn is_hole(&self, table: CellTable, address: u16) -> bool {
         let reach = self.map.max_hole;
         let near = |from: u16, to: u16| (from..=to).any(|at| self.is_mapped(table, at));
         reach > 0
@@ -155,7 +161,7 @@ impl ForeignDrive {
         let [b3, b2, b1, b0] = ((pattern & whole) << shift).to_be_bytes();
         let [m3, m2, m1, m0] = (whole << shift).to_be_bytes();
         let first_is_high = layout.words == Order::HighFirst;
-        let high = layout.registers() == 2 && (offset == 0) == first_is_high;
+        let high = layout.cells() == 2 && (offset == 0) == first_is_high;
         let (word, mask) = if high { ([b3, b2], [m3, m2]) } else { ([b1, b0], [m1, m0]) };
         match layout.bytes {
             Order::HighFirst => (u16::from_be_bytes(word), u16::from_be_bytes(mask)),

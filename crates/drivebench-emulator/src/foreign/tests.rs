@@ -6,7 +6,7 @@ mod trial;
 
 use super::*;
 use crate::VirtualClock;
-use drivebench_link::{DriveLink, LinkError, ProfiledLink, RegisterBus, Result};
+use drivebench_link::{CellBus, DriveLink, LinkError, ProfiledLink, Put, Result};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Quality, Sample};
 
 /// A bench with one drive: time passes between exchanges.

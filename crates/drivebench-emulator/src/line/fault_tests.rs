@@ -14,8 +14,7 @@ use crate::codec::Received;
 use drivebench_link::register_map::RegisterMap;
 use drivebench_link::virtual_line::{LineTime, modbus_to, paused, stream_to};
 use drivebench_link::{
-    LinkError, LinkSettings, LinkStatistics, ModbusBus, ReadRequest, RegisterBus, RegisterTable,
-    Result,
+    CellBus, CellTable, LinkError, LinkSettings, LinkStatistics, Put, ReadRequest, Result,
 };
 use drivebench_model::sample::{Channel, Command, Demand};
 
@@ -415,7 +414,7 @@ fn on_a_stray_bus(
         far.lock().unwrap().has_strays = has_strays;
         let meant = Arc::clone(&far.lock().unwrap().meant);
         let link = modbus_to(Protocol::ModbusRtu, &settings, &far);
-        let mut bus = ModbusBus::new(link, &map(resync));
+        let mut bus = link.into_bus(&map(resync), false);
         let mut outcome = Outcome::default();
         for turn in 1..=count {
             let (address, words) = READS[turn % READS.len()];
@@ -423,14 +422,16 @@ fn on_a_stray_bus(
                 // One request in so many is a write.
                 if turn % 6 == 0 {
                     let value = u16::try_from(turn % 3000).unwrap();
-                    return bus.write(6, 0x1026, &[value]).map(|_| true);
+                    return bus
+                        .write(Put { function: 6, address: 0x1026, cells: &[value] })
+                        .map(|_| true);
                 }
                 let read = bus.read(ReadRequest::holding(address, words))?;
-                Ok(read.words == meant.lock().unwrap().registers(address, words))
+                Ok(read.cells == meant.lock().unwrap().registers(address, words))
             });
         }
-        let line = RegisterBus::line(&bus).unwrap();
-        outcome.closed(RegisterBus::statistics(&bus), line.stale_frames)
+        let line = CellBus::line(&bus).unwrap();
+        outcome.closed(CellBus::statistics(&bus), line.stale_frames)
     })
 }
 
@@ -616,7 +617,7 @@ fn raw_registers_are_read_and_a_refusal_has_its_name() {
         let far = Observed::new(Protocol::ModbusRtu, &[], 1);
         let meant = Arc::clone(&far.lock().unwrap().meant);
         let mut link = modbus_to(Protocol::ModbusRtu, &settings(), &far);
-        let words = link.read_registers(RegisterTable::Holding, 900, 3).unwrap();
+        let words = link.read_registers(CellTable::Holding, 900, 3).unwrap();
         assert_eq!(words, meant.lock().unwrap().registers(900, 3));
         let refused = link.write_registers(64, &[1]).unwrap_err().to_string();
         assert!(refused.contains("exception 0x02 illegal data address"), "{refused}");

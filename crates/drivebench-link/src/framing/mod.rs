@@ -6,15 +6,76 @@ use std::collections::VecDeque;
 
 use firmware_protocol::modbus::expected_response_len;
 
+use super::cell_bus::{Put, ReadRequest};
+use super::exceptions::Requested;
 use super::unexpected::Unexpected;
 
-pub(super) use modbus::{begins_with_rtu, rtu_frame_len};
+pub(super) use modbus::{
+    begins_with_rtu, read_bytes, read_write_bytes, rtu_frame_len, write_bytes,
+};
 
 /// How frames are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameKind {
     Rtu,
     Tcp,
+}
+
+impl FrameKind {
+    /// Whether every reply carries the number of its request.
+    pub(super) const fn is_numbered(self) -> bool {
+        matches!(self, Self::Tcp)
+    }
+
+    /// Bytes on the line of a turn, and of its reply.
+    pub(super) fn bytes(self, turn: Turn<'_>) -> (usize, usize) {
+        match self {
+            Self::Rtu | Self::Tcp => modbus::bytes(turn),
+        }
+    }
+}
+
+/// What one request does: a write, a read, or both at once.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Turn<'a> {
+    pub(super) put: Option<Put<'a>>,
+    pub(super) read: Option<ReadRequest>,
+}
+
+impl<'a> Turn<'a> {
+    pub(super) const fn read(read: ReadRequest) -> Self {
+        Self { put: None, read: Some(read) }
+    }
+
+    pub(super) const fn write(put: Put<'a>) -> Self {
+        Self { put: Some(put), read: None }
+    }
+
+    /// As a request of Modbus, which is what the proof of synchronisation takes.
+    pub(super) fn pdu(&self) -> [u8; 5] {
+        match (self.put, self.read.map(ReadRequest::pdu)) {
+            (None, read) => read.unwrap_or_default(),
+            (Some(_), Some([_, a, b, c, d])) => [23, a, b, c, d],
+            (Some(Put { function, address, .. }), None) => {
+                let [high, low] = address.to_be_bytes();
+                [function, high, low, 0, 0]
+            }
+        }
+    }
+
+    /// For the help of an exception.
+    pub(super) fn requested(&self) -> Requested {
+        let written = self.put.map_or(0, |put| u16::try_from(put.cells.len()).unwrap_or(u16::MAX));
+        let count = self.read.map_or(written, |read| read.count);
+        Requested { function: self.pdu()[0], count, is_of_profile: false }
+    }
+
+    pub(super) fn text(&self) -> String {
+        let written = self.put.map(|put| format!("write {:04x?} at {}", put.cells, put.address));
+        let parts: Vec<String> =
+            written.into_iter().chain(self.read.map(ReadRequest::text)).collect();
+        parts.join(" and ")
+    }
 }
 
 /// What the reply has to fit.

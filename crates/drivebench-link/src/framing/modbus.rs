@@ -7,7 +7,7 @@ use firmware_protocol::modbus::{
     Length, expected_response_len, request_len, response_len, rtu, tcp,
 };
 
-use super::{Code, Expected, FrameKind, Search, Unframeable};
+use super::{Code, Expected, FrameKind, Search, Turn, Unframeable};
 use crate::unexpected::Unexpected;
 
 impl Expected {
@@ -30,10 +30,34 @@ impl Expected {
     }
 }
 
+/// RTU frames of a read of so many registers and of its reply, bytes.
+pub(crate) const fn read_bytes(count: usize) -> (usize, usize) {
+    (8, 5 + 2 * count)
+}
+
+/// The same of a write of several registers, and of one with function code 6.
+pub(crate) const fn write_bytes(function: u8, count: usize) -> (usize, usize) {
+    (if function == 6 { 8 } else { 9 + 2 * count }, 8)
+}
+
+/// The same of function code 23.
+pub(crate) const fn read_write_bytes(written: usize, read: usize) -> (usize, usize) {
+    (13 + 2 * written, 5 + 2 * read)
+}
+
+pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
+    let read = turn.read.map(|read| usize::from(read.count));
+    match (turn.put, read) {
+        (None, read) => read_bytes(read.unwrap_or_default()),
+        (Some(put), None) => write_bytes(put.function, put.cells.len()),
+        (Some(put), Some(read)) => read_write_bytes(put.cells.len(), read),
+    }
+}
+
 pub(super) fn code_of(kind: FrameKind, frame: &[u8]) -> Option<Code> {
     let (before, behind) = match kind {
         FrameKind::Tcp => (tcp::HEADER, 0),
-        _ => (1, 2),
+        FrameKind::Rtu => (1, 2),
     };
     Some(Code { function: *frame.get(before)?, length: frame.len().checked_sub(before + behind)? })
 }

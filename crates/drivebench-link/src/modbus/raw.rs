@@ -19,11 +19,11 @@ use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
 use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
+use crate::cell_bus::{ReadRequest, registers};
 use crate::framing::FrameKind;
 use crate::link::{Identity, LinkError, LinkStatistics, Result};
 use crate::open::{Target, open_line};
 use crate::proof::{Policy, Proof};
-use crate::register_bus::{ReadRequest, registers};
 use crate::settings::{Framing, LinkSettings, Protocol};
 use crate::tap::TapFile;
 use crate::timeline::identity;

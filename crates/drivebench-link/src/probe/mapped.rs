@@ -5,11 +5,11 @@ use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
+use crate::cell_bus::{CellTable, ReadRequest};
 use crate::link::{LinkError, Result};
 use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
-use crate::register_bus::{ReadRequest, RegisterTable};
 use crate::register_map::{
     Condition, IdentityCheck, IdentityTest, Picture, PollRate, Quantity, ReadBlock, Reading,
     RegisterMap, Window, plan_reads,
@@ -85,8 +85,9 @@ fn address_form(map: &RegisterMap) -> String {
         return String::new();
     };
     let (other, code) = match location.table {
-        RegisterTable::Holding => (RegisterTable::Input, "04"),
-        RegisterTable::Input => (RegisterTable::Holding, "03"),
+        CellTable::Holding => (CellTable::Input, "04"),
+        CellTable::Input => (CellTable::Holding, "03"),
+        CellTable::Bytes | CellTable::Fields(_) | CellTable::Reply(_) => return String::new(),
     };
     let first_line = format!(
         "the drive has none of these registers (exception 0x02), of which the first is {} {} on the wire",
@@ -164,10 +165,13 @@ fn signal(
     }
 }
 
-const fn table_name(table: RegisterTable) -> &'static str {
+const fn table_name(table: CellTable) -> &'static str {
     match table {
-        RegisterTable::Holding => "holding",
-        RegisterTable::Input => "input",
+        CellTable::Holding => "holding",
+        CellTable::Input => "input",
+        CellTable::Bytes => "byte",
+        CellTable::Fields(_) => "field",
+        CellTable::Reply(_) => "reply",
     }
 }
 
@@ -238,8 +242,8 @@ impl Reader<'_> {
     fn hand_out(&mut self, block: &ReadBlock, registers: &[u16]) {
         for index in &block.signals {
             let location = self.map.signals[*index].location;
-            let from = usize::from(location.address - block.read.address);
-            let to = from + usize::from(location.layout.registers());
+            let from = block.read.offset_of(&location);
+            let to = from + usize::from(location.layout.cells());
             self.windows[*index].here = registers.get(from..to).map(<[u16]>::to_vec);
         }
     }
@@ -350,12 +354,12 @@ mod tests {
     fn unknown_registers_are_answered_with_the_forms_of_an_address() {
         let mut map = (*DriveProfile::named("delta-ms300").unwrap().registers.unwrap()).clone();
         let location = &mut map.signals[0].location;
-        (location.table, location.address) = (RegisterTable::Holding, 40_013);
+        (location.table, location.address) = (CellTable::Holding, 40_013);
         let text = address_form(&map);
         assert!(text.contains("address_base \"4x1\""), "{text}");
         assert!(text.contains("input registers (function code 04)"), "{text}");
         let location = &mut map.signals[0].location;
-        (location.table, location.address) = (RegisterTable::Input, 14);
+        (location.table, location.address) = (CellTable::Input, 14);
         let text = address_form(&map);
         assert!(text.contains("from 0 or from 1"), "{text}");
         assert!(text.contains("holding registers (function code 03)"), "{text}");

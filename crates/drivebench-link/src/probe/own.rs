@@ -6,11 +6,11 @@ use firmware_protocol::registers::{REGISTERS, TELEMETRY_ADDRESS, TELEMETRY_WORDS
 use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
+use crate::cell_bus::{MOST_READ, ReadRequest};
 use crate::link::{DriveLink, Result};
 use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
 use crate::profile::DriveProfile;
-use crate::register_bus::{MOST_READ, ReadRequest};
 use crate::register_map::{Quantity, Unit, confirms, expected_at_rest};
 use crate::stream::StreamLink;
 

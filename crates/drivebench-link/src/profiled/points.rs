@@ -4,17 +4,17 @@ use std::sync::Arc;
 
 use super::readings::{Joined, Readings, in_profile};
 use crate::budget::may_join;
+use crate::cell_bus::{CellBus, Span};
 use crate::link::{LinkError, Result};
-use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{Quantity, RegisterMap, SetPoint, Write};
 
 /// How long a drive may refuse or carry out a step of a command before the command is given up, s: less than what a session
 /// waits beyond the steps, so that the reason is reported.
 pub(super) const PATIENCE_S: f64 = 0.5;
 
-/// The registers of the drive and their last readings.
+/// The cells of the drive and their last readings.
 pub(super) struct FarEnd<'a> {
-    pub(super) bus: &'a mut dyn RegisterBus,
+    pub(super) bus: &'a mut dyn CellBus,
     pub(super) readings: &'a Readings,
 }
 
@@ -23,7 +23,7 @@ pub(super) struct FarEnd<'a> {
 struct Sent {
     /// In units; `None` while it is not being held.
     value: Option<f64>,
-    registers: Vec<u16>,
+    cells: Vec<u16>,
     /// A write was not acknowledged, so that the drive may hold either: until one is, every value is written.
     in_doubt: bool,
     at_s: f64,
@@ -102,7 +102,7 @@ impl Points {
 
     /// It was acknowledged.
     pub(super) fn joined_carried(&mut self, joined: Joined, span: Span, now_s: f64) {
-        self.acknowledged(joined.at, joined.registers, now_s);
+        self.acknowledged(joined.at, joined.cells, now_s);
         self.carried = Some(span);
     }
 
@@ -124,7 +124,7 @@ impl Points {
         let (acting_s, point, sent) = acting.max_by(|one, other| one.0.total_cmp(&other.0))?;
         let text = format!(
             "the drive accepted setpoint {} = {:04x?} (exception 05) and has not carried it out for {acting_s:.2} s",
-            point.name, sent.registers
+            point.name, sent.cells
         );
         Some((acting_s, text))
     }
@@ -169,7 +169,7 @@ impl Points {
     }
 
     /// Repeats the writes that the drive needs within its refresh time.
-    pub(super) fn refresh(&mut self, bus: &mut dyn RegisterBus, period_s: f64) -> Result<()> {
+    pub(super) fn refresh(&mut self, bus: &mut dyn CellBus, period_s: f64) -> Result<()> {
         self.running = true;
         let map = Arc::clone(&self.map);
         for (at, point) in map.set_points.iter().enumerate() {
@@ -182,8 +182,8 @@ impl Points {
             let sent = &self.sent[at];
             // Not written before: there is nothing to hold. The next chance is a period away.
             if sent.value.is_some() && bus.now_s() - sent.at_s + period_s >= refresh_s {
-                let registers = sent.registers.clone();
-                self.send_or_join(bus, at, point, &registers)?;
+                let cells = sent.cells.clone();
+                self.send_or_join(bus, at, point, &cells)?;
             }
         }
         Ok(())
@@ -235,7 +235,7 @@ impl Points {
         };
         let has_sign = point.keys.sign.is_some();
         let magnitude = if has_sign { value.abs() } else { value };
-        let Some(mut registers) = encoded(magnitude) else {
+        let Some(mut cells) = encoded(magnitude) else {
             let unit = point.numbers.unit.name();
             let text = format!("setpoint {name} = {value} {unit} does not fit its register");
             return Err(refused(bus, text));
@@ -251,11 +251,11 @@ impl Points {
             }
             self.write_sign(bus, &sign.set_point, sign.mask, value)?;
         }
-        if let (Some(mask), [word]) = (mask, registers.as_mut_slice()) {
-            let before = self.sent[at].registers.first().copied().unwrap_or(0);
+        if let (Some(mask), [word]) = (mask, cells.as_mut_slice()) {
+            let before = self.sent[at].cells.first().copied().unwrap_or(0);
             *word = (before & !mask) | (*word & mask);
         }
-        self.send_or_join(bus, at, point, &registers)?;
+        self.send_or_join(bus, at, point, &cells)?;
         self.sent[at].value = Some(value);
         Ok(())
     }
@@ -267,32 +267,32 @@ impl Points {
     /// Sends, or leaves it to the read of this exchange where one transaction takes both.
     fn send_or_join(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         at: usize,
         point: &SetPoint,
-        registers: &[u16],
+        cells: &[u16],
     ) -> Result<()> {
         let sent = &self.sent[at];
         // What brings the drive to rest is written again all the same.
-        if sent.accepted_s.is_some() && sent.registers == registers && !self.is_urgent {
+        if sent.accepted_s.is_some() && sent.cells == cells && !self.is_urgent {
             return self.confirm(bus, at, point);
         }
         if self.joint != Joint::May || !may_join(&self.map, point) {
-            return self.send(bus, at, point, registers);
+            return self.send(bus, at, point, cells);
         }
-        if !self.may_be_written(bus, at, point, registers)? {
+        if !self.may_be_written(bus, at, point, cells)? {
             return Ok(());
         }
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
-        self.joint = Joint::With(Joined { at, registers: registers.to_vec() });
+        self.joint = Joint::With(Joined { at, cells: cells.to_vec() });
         Ok(())
     }
 
     /// The sign of a reference as bits of a control word, if they are not yet as they should be.
     fn write_sign(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         name: &str,
         mask: u16,
         value: f64,
@@ -302,7 +302,7 @@ impl Points {
             return Ok(());
         };
         let sent = &self.sent[at];
-        let Some(before) = sent.registers.first().copied() else {
+        let Some(before) = sent.cells.first().copied() else {
             // Its other bits are not known, so neither is the way in which this would turn.
             let text = format!(
                 "the sign of {value} is a bit of setpoint {name}, which no command has written yet"
@@ -319,10 +319,10 @@ impl Points {
     /// Whether a write may go out at all; `false`: it would change nothing.
     fn may_be_written(
         &self,
-        bus: &dyn RegisterBus,
+        bus: &dyn CellBus,
         at: usize,
         point: &SetPoint,
-        registers: &[u16],
+        cells: &[u16],
     ) -> Result<bool> {
         let sent = &self.sent[at];
         if point.keys.write_only_when.is_some() && self.running {
@@ -331,7 +331,7 @@ impl Points {
             return Err(refused(bus, text));
         }
         if point.keys.nvm {
-            if sent.registers == registers && !sent.in_doubt {
+            if sent.cells == cells && !sent.in_doubt {
                 return Ok(false);
             }
             let most = self
@@ -351,10 +351,10 @@ impl Points {
         Ok(true)
     }
 
-    fn acknowledged(&mut self, at: usize, registers: Vec<u16>, now_s: f64) {
+    fn acknowledged(&mut self, at: usize, cells: Vec<u16>, now_s: f64) {
         let sent = &mut self.sent[at];
         sent.at_s = now_s;
-        sent.registers = registers;
+        sent.cells = cells;
         sent.in_doubt = false;
         sent.accepted_s = None;
         self.kicked_s = now_s;
@@ -364,13 +364,13 @@ impl Points {
     /// any other counts as written.
     pub(super) fn accepted(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         at: usize,
-        registers: &[u16],
+        cells: &[u16],
     ) -> Result<()> {
         let map = Arc::clone(&self.map);
         let since_s = self.sent[at].accepted_s.unwrap_or(bus.now_s());
-        self.acknowledged(at, registers.to_vec(), bus.now_s());
+        self.acknowledged(at, cells.to_vec(), bus.now_s());
         let point = &map.set_points[at];
         if !point.keys.readback {
             return Ok(());
@@ -380,13 +380,13 @@ impl Points {
     }
 
     /// Whether an accepted write is carried out by now. After [`PATIENCE_S`] another value is a mismatch.
-    fn confirm(&mut self, bus: &mut dyn RegisterBus, at: usize, point: &SetPoint) -> Result<()> {
+    fn confirm(&mut self, bus: &mut dyn CellBus, at: usize, point: &SetPoint) -> Result<()> {
         // Without a read-back that comes, the value that is held has not been noted either.
         self.sent[at].in_doubt = true;
         let found = self.read_back(bus, at, point)?;
         let now_s = bus.now_s();
         let sent = &mut self.sent[at];
-        if found == sent.registers {
+        if found == sent.cells {
             sent.in_doubt = false;
             sent.accepted_s = None;
             sent.mismatches = 0;
@@ -402,32 +402,28 @@ impl Points {
 
     fn send(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         at: usize,
         point: &SetPoint,
-        registers: &[u16],
+        cells: &[u16],
     ) -> Result<()> {
-        if !self.may_be_written(bus, at, point, registers)? {
+        if !self.may_be_written(bus, at, point, cells)? {
             return Ok(());
         }
         // Counted and doubtful until acknowledged: the drive may have executed it.
         self.sent[at].in_doubt = true;
         self.sent[at].writes += 1;
-        let (function, address) = (point.function, point.location.address);
-        let written = if self.is_urgent {
-            bus.write_at_once(function, address, registers)
-        } else {
-            bus.write(function, address, registers)
-        };
+        let put = point.put(cells);
+        let written = if self.is_urgent { bus.write_at_once(put) } else { bus.write(put) };
         self.has_written |= super::was_sent(&written);
         // A stop repeats what has no end instead.
         if is_accepted(&written) && !self.is_urgent {
-            return self.accepted(bus, at, registers);
+            return self.accepted(bus, at, cells);
         }
         let carried =
             written.map_err(|error| in_profile(error, &self.map, &[(&point.name, point.line)]))?;
         self.carried = Some(carried);
-        self.acknowledged(at, registers.to_vec(), bus.now_s());
+        self.acknowledged(at, cells.to_vec(), bus.now_s());
         // What brings the drive to rest is followed by a look at its state instead.
         if point.keys.readback && !self.is_urgent {
             self.confirm(bus, at, point)?;
@@ -438,18 +434,18 @@ impl Points {
 
     fn read_back(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         at: usize,
         point: &SetPoint,
     ) -> Result<Vec<u16>> {
         let read = bus.read(point.location.request())?;
         self.sent[at].looked_s = bus.now_s();
-        Ok(read.words)
+        Ok(read.cells)
     }
 
     /// Periodic check that a confirmed set-point still reads back as written. A deviation twice in a row without a write of ours is one by
     /// another master: sentence on it.
-    pub(super) fn watch(&mut self, bus: &mut dyn RegisterBus) -> Result<Option<String>> {
+    pub(super) fn watch(&mut self, bus: &mut dyn CellBus) -> Result<Option<String>> {
         let map = Arc::clone(&self.map);
         let pause_s = map.rates.slow_hz.recip();
         for (at, point) in map.set_points.iter().enumerate() {
@@ -457,11 +453,11 @@ impl Points {
             let is_ours = sent.value.is_some()
                 && !sent.in_doubt
                 && !sent.confirmed.is_empty()
-                && sent.confirmed == sent.registers;
+                && sent.confirmed == sent.cells;
             if !point.keys.readback || !is_ours || bus.now_s() - sent.looked_s < pause_s {
                 continue;
             }
-            let ours = sent.registers.clone();
+            let ours = sent.cells.clone();
             let first = self.read_back(bus, at, point)?;
             if first == ours {
                 continue;
@@ -498,7 +494,7 @@ impl Points {
             };
             format!(
                 "setpoint {} was written as {:04x?} and read back as {:04x?}, {} times in a row: {why}",
-                point.name, sent.registers, sent.found, sent.mismatches
+                point.name, sent.cells, sent.found, sent.mismatches
             )
         })
     }
@@ -534,6 +530,6 @@ pub(super) const fn is_accepted<T>(written: &Result<T>) -> bool {
     matches!(written, Err(LinkError::Exception { code: 5, .. }))
 }
 
-fn refused(bus: &dyn RegisterBus, reason: String) -> LinkError {
+fn refused(bus: &dyn CellBus, reason: String) -> LinkError {
     LinkError::Refused(bus.name().0, reason)
 }

@@ -4,9 +4,9 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crate::budget::joint_block;
+use crate::cell_bus::{CellBus, Span};
 use crate::exceptions::Requested;
 use crate::link::{LinkError, Result};
-use crate::register_bus::{RegisterBus, Span};
 use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
 use crate::timeline::{ClockMap, DriveClock};
 
@@ -31,7 +31,7 @@ struct Position {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Joined {
     pub(super) at: usize,
-    pub(super) registers: Vec<u16>,
+    pub(super) cells: Vec<u16>,
 }
 
 /// All signals, by position in the map.
@@ -83,7 +83,7 @@ impl Readings {
     }
 
     /// Everything, as at connect.
-    pub(super) fn read_all(&mut self, bus: &mut dyn RegisterBus) -> Result<()> {
+    pub(super) fn read_all(&mut self, bus: &mut dyn CellBus) -> Result<()> {
         // Factors first: the others are scaled with them.
         for block in plan_reads(&self.map, PollRate::Once) {
             self.read(bus, &block)?;
@@ -98,7 +98,7 @@ impl Readings {
     /// last reply, and the same of the block that took the write along.
     pub(super) fn read_fast(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         mut joined: Option<&Joined>,
     ) -> Result<(Option<Span>, Option<Span>)> {
         let (mut whole, mut both) = (None, None);
@@ -131,7 +131,7 @@ impl Readings {
     }
 
     /// One slow block, if it is time for one.
-    pub(super) fn read_slow(&mut self, bus: &mut dyn RegisterBus) -> Result<()> {
+    pub(super) fn read_slow(&mut self, bus: &mut dyn CellBus) -> Result<()> {
         let now_s = bus.now_s();
         let Some(block) = self.slow.get(self.next_slow).cloned() else {
             return Ok(());
@@ -145,7 +145,7 @@ impl Readings {
     }
 
     /// Reads all slow signals now.
-    pub(super) fn read_now(&mut self, bus: &mut dyn RegisterBus, quantity: Quantity) -> Result<()> {
+    pub(super) fn read_now(&mut self, bus: &mut dyn CellBus, quantity: Quantity) -> Result<()> {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
             let mut indices = block.signals.iter();
@@ -157,22 +157,19 @@ impl Readings {
         }
     }
 
-    fn read(&mut self, bus: &mut dyn RegisterBus, block: &ReadBlock) -> Result<()> {
+    fn read(&mut self, bus: &mut dyn CellBus, block: &ReadBlock) -> Result<()> {
         self.read_with(bus, block, None).map(drop)
     }
 
     fn read_with(
         &mut self,
-        bus: &mut dyn RegisterBus,
+        bus: &mut dyn CellBus,
         block: &ReadBlock,
         joined: Option<&Joined>,
     ) -> Result<Span> {
         let point = joined.and_then(|joined| Some((self.map.set_points.get(joined.at)?, joined)));
         let read = match point {
-            Some((point, joined)) => bus.read_write(
-                (point.location.address, &joined.registers),
-                (block.read.address, block.read.count),
-            ),
+            Some((point, joined)) => bus.read_write(point.put(&joined.cells), block.read),
             None => bus.read(block.read),
         };
         let read = read.map_err(|error| {
@@ -184,8 +181,8 @@ impl Readings {
         })?;
         for index in &block.signals {
             let location = self.map.signals[*index].location;
-            let offset = usize::from(location.address - block.read.address);
-            let pattern = read.words.get(offset..).and_then(|tail| location.layout.pattern(tail));
+            let offset = block.read.offset_of(&location);
+            let pattern = read.cells.get(offset..).and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
             let value = match (value, pattern) {
                 (Some(_), Some(pattern)) => {
@@ -277,7 +274,7 @@ impl Clock {
         })?;
         let resolution_s = map.signals[signal].clock_count_s()?;
         // The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
-        let shift = 32 - 16 * map.signals[signal].location.layout.registers();
+        let shift = 32 - 16 * map.signals[signal].location.layout.cells();
         Some(Self {
             signal,
             shift,

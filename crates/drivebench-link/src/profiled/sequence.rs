@@ -8,9 +8,9 @@
 //! ```
 
 use super::ProfiledLink;
+use crate::cell_bus::CellBus;
 use crate::link::{DriveLink as _, LinkError, Result};
 use crate::polling_backoff::is_busy;
-use crate::register_bus::RegisterBus;
 use crate::register_map::{Step, Write};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -163,7 +163,7 @@ enum WriteEnd {
     Unacknowledged,
 }
 
-impl<B: RegisterBus> ProfiledLink<B> {
+impl<B: CellBus> ProfiledLink<B> {
     /// Takes a stop as far as it goes now. What comes back beside what is next is the first write that was refused or not
     /// acknowledged: it has kept none of the others from going out.
     pub(super) fn descend(&mut self, sequence: &mut Sequence) -> Result<(Next, Option<LinkError>)> {

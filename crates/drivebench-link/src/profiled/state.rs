@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 
 use super::{Mode, ProfiledLink};
+use crate::cell_bus::CellBus;
 use crate::link::LinkError;
-use crate::register_bus::RegisterBus;
 use crate::register_map::{Condition, Quantity};
 use drivebench_model::sample::{Channel, DriveState, Hindrance, Sample};
 
@@ -16,7 +16,7 @@ const fn low_word(pattern: u32) -> u16 {
     u16::from_be_bytes([high, low])
 }
 
-impl<B: RegisterBus> ProfiledLink<B> {
+impl<B: CellBus> ProfiledLink<B> {
     /// Whether a state of the profile holds; `None` where no register maps it.
     pub(super) fn reported(&self, state: &str) -> Option<bool> {
         let condition = self.map.state(state)?;

@@ -79,7 +79,7 @@ impl Change {
 
     /// Every change that makes a difference to such a layout.
     fn all(layout: Layout) -> Vec<Self> {
-        let has_words = layout.registers() > 1;
+        let has_words = layout.cells() > 1;
         let has_sign = layout.kind != Kind::F32;
         let of_shift = |shift| {
             (0..8_u8).map(move |bits| Self {
@@ -149,6 +149,8 @@ const fn shift_text(shift: i8) -> &'static str {
 
 const fn other_sign(kind: Kind) -> Kind {
     match kind {
+        Kind::U8 => Kind::I8,
+        Kind::I8 => Kind::U8,
         Kind::U16 => Kind::I16,
         Kind::I16 => Kind::U16,
         Kind::U32 => Kind::I32,
@@ -238,7 +240,7 @@ impl Picture<'_> {
     fn trespasses(&self, index: usize, shift: i8) -> bool {
         let range = |signal: &Signal, shift: i8| {
             let from = i32::from(signal.location.address) + i32::from(shift);
-            from..from + i32::from(signal.location.layout.registers())
+            from..from + i32::from(signal.location.layout.cells())
         };
         let signal = &self.map.signals[index];
         let ours = range(signal, shift);
@@ -348,7 +350,7 @@ impl Picture<'_> {
             let (change, none) = (Change { words, bytes: !words, ..Change::NONE }, String::new);
             let layouts = self.map.signals.iter().map(|signal| signal.location.layout);
             // The other order than that of the first signal which has one.
-            let mut of_interest = layouts.filter(|layout| !words || layout.registers() > 1);
+            let mut of_interest = layouts.filter(|layout| !words || layout.cells() > 1);
             let text = |layout| format!("{} everywhere", change.text(layout));
             (change, of_interest.next().map_or_else(none, text))
         };
@@ -416,7 +418,7 @@ mod tests {
         map.signals
             .iter()
             .map(|signal| {
-                let zeros = || Some(vec![0; usize::from(signal.location.layout.registers())]);
+                let zeros = || Some(vec![0; usize::from(signal.location.layout.cells())]);
                 let given = known.iter().find(|(name, _)| *name == signal.name);
                 given.map_or_else(
                     || Window { below: zeros(), here: zeros(), above: zeros() },

@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 use super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 use super::terms::{Converter, Device, Quantity, Rates, Resync, Unit};
 use super::value::Layout;
-use crate::register_bus::{ReadRequest, RegisterTable};
+use crate::cell_bus::{CellTable, Put, ReadRequest};
 use crate::settings::Trust;
 use drivebench_model::sample::Channel;
 use drivebench_model::units::rad_s_from_rpm;
@@ -20,14 +20,14 @@ pub(super) struct PerTurn {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Location {
-    pub table: RegisterTable,
+    pub table: CellTable,
     pub address: u16,
     pub layout: Layout,
 }
 
 impl Location {
     pub const fn request(&self) -> ReadRequest {
-        ReadRequest { table: self.table, address: self.address, count: self.layout.registers() }
+        ReadRequest { table: self.table, address: self.address, count: self.layout.cells() }
     }
 }
 
@@ -136,6 +136,11 @@ pub struct SetPoint {
 }
 
 impl SetPoint {
+    /// The write of these cells.
+    pub const fn put<'a>(&self, cells: &'a [u16]) -> Put<'a> {
+        Put { function: self.function, address: self.location.address, cells }
+    }
+
     pub fn is_word(&self) -> bool {
         self.keys.quantity == Quantity::Word
     }

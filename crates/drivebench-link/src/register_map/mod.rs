@@ -32,7 +32,7 @@ pub use terms::{
     Converter, Device, DeviceKind, Expiry, PollRate, Quantity, Rates, Resync, Sign, StoppedOnly,
     SupervisionKind, Unit,
 };
-pub use value::{Byte, Kind, Layout, Order};
+pub use value::{Byte, CellSize, Kind, Layout, Order};
 
 #[cfg(test)]
 mod tests;

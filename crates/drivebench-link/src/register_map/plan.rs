@@ -2,7 +2,7 @@
 
 use super::facts::RegisterMap;
 use super::terms::PollRate;
-use crate::register_bus::{ReadRequest, RegisterTable};
+use crate::cell_bus::{CellTable, ReadRequest};
 
 /// One read request and the signals (by position in the map) that it serves.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -17,7 +17,7 @@ pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
         .filter(|index| map.signals[*index].keys.poll == poll)
         .map(|index| (map.signals[index].location.request(), index))
         .collect();
-    wanted.sort_by_key(|(read, _)| (read.table == RegisterTable::Input, read.address));
+    wanted.sort_by_key(|(read, _)| (read.table == CellTable::Input, read.address));
     let mut blocks: Vec<ReadBlock> = Vec::new();
     for (mut read, index) in wanted {
         let (address, end) = (u32::from(read.address), read.end());

@@ -19,8 +19,8 @@ use super::facts::{
 };
 use super::schema::{LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
 use super::terms::{DeviceKind, PollRate, Quantity, Resync, Unit};
-use super::value::{Kind, Layout};
-use crate::register_bus::RegisterTable;
+use super::value::{CellSize, Kind, Layout};
+use crate::cell_bus::CellTable;
 use crate::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
 use drivebench_model::config_text::{self, ConfigError, help_for_unknown};
 use drivebench_model::sample::Channel;
@@ -254,8 +254,8 @@ impl Reader<'_> {
             _ => 3,
         });
         let table = match function {
-            3 => RegisterTable::Holding,
-            4 => RegisterTable::Input,
+            3 => CellTable::Holding,
+            4 => CellTable::Input,
             _ => {
                 let message = format!("function {function} is not allowed (expected 3 or 4)");
                 return Err(part.wrong("function", message));
@@ -263,7 +263,7 @@ impl Reader<'_> {
         };
         part.of("function", self.knows(function))?;
         let bits = keys.bits.as_deref().map(|text| {
-            let width = if keys.byte.is_some() { 8 } else { 16 * keys.kind.registers() };
+            let width = if keys.byte.is_some() { 8 } else { 8 * keys.kind.bytes() };
             bit_range(text, width).ok_or_else(|| {
                 format!("bits {text:?} is not allowed (expected \"FIRST..LAST\" within the type or the byte)")
             })
@@ -283,6 +283,7 @@ impl Reader<'_> {
         part.require(holds, "quantity", message)?;
         let layout = Layout {
             kind: keys.kind,
+            cell: CellSize::Register,
             words: keys.word_order,
             bytes: keys.byte_order,
             byte: keys.byte,
@@ -349,7 +350,7 @@ impl Reader<'_> {
         let (address, is_input) = part.of("address", found)?;
         let is_holding = is_input != Some(true);
         part.require(is_holding, "address", "an input register cannot be written")?;
-        let registers = keys.kind.registers();
+        let registers = Layout::plain(keys.kind).cells();
         let single = registers == 1 && self.link.functions.contains(&6);
         let function = keys.function.unwrap_or(if single { 6 } else { 16 });
         let holds = function == 16 || (function == 6 && registers == 1);
@@ -384,7 +385,7 @@ impl Reader<'_> {
         Ok(SetPoint {
             name: name.to_owned(),
             line: self.line(&span),
-            location: Location { table: RegisterTable::Holding, address, layout },
+            location: Location { table: CellTable::Holding, address, layout },
             function,
             si: demand_si(keys.quantity, keys.unit, per_turn),
             numbers,
@@ -404,11 +405,8 @@ impl Reader<'_> {
             let holds = unit_ms.is_finite() && unit_ms > 0.0;
             let message = format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)");
             part.require(holds, "time", message)?;
-            let location = Location {
-                table: RegisterTable::Holding,
-                address,
-                layout: Layout::plain(Kind::U16),
-            };
+            let location =
+                Location { table: CellTable::Holding, address, layout: Layout::plain(Kind::U16) };
             if let Some(set_ms) = keys.set_ms {
                 part.of("set_ms", time_fits(set_ms, time, location.layout))?;
             }
@@ -507,7 +505,7 @@ impl Reader<'_> {
                 let factors = once.iter().copied();
                 self.known(factor, factors, "signal with poll = \"once\"", &span)?;
             }
-            let registers = location.layout.registers();
+            let registers = location.layout.cells();
             let message =
                 format_args!("{kind} {name} has {registers} registers, and {key} is {most}");
             let part = self.part(span, "");

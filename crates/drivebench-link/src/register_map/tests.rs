@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::*;
-use crate::{DriveProfile, ProfileError, ReadRequest, RegisterTable};
+use crate::{CellTable, DriveProfile, ProfileError, ReadRequest};
 use drivebench_model::sample::Channel;
 
 fn foreign() -> Vec<(&'static str, &'static str)> {
@@ -69,7 +69,7 @@ fn addresses_are_those_of_the_sources() {
     }
     for (name, signal) in [("roboteq-dc", "speed"), ("vacon10", "torque")] {
         let table = map(name).signal(signal).unwrap().location.table;
-        assert_eq!(table, RegisterTable::Input, "{name} {signal}");
+        assert_eq!(table, CellTable::Input, "{name} {signal}");
     }
     for (name, point, address, function) in [
         ("siemens-v20", "control_word", Some(99), None),

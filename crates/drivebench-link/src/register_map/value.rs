@@ -1,10 +1,12 @@
-//! Registers to a raw number and back: types, word and byte order, packed bytes and bit fields.
+//! Cells to a raw number and back: types, word and byte order, packed bytes and bit fields.
 
 use crate::settings::named;
 
 named! {
-    /// How a raw number lies in its registers.
+    /// How a raw number lies in its cells.
     pub enum Kind {
+        U8 = "u8",
+        I8 = "i8",
         U16 = "u16",
         I16 = "i16",
         U32 = "u32",
@@ -23,6 +25,14 @@ named! {
     }
 }
 
+/// What one cell of a bus holds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum CellSize {
+    #[default]
+    Register,
+    Byte,
+}
+
 named! {
     /// One of two values that share a register.
     pub enum Byte {
@@ -34,8 +44,9 @@ named! {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Layout {
     pub kind: Kind,
+    pub cell: CellSize,
     pub words: Order,
-    /// `LowFirst`: the two bytes of each register are exchanged.
+    /// `LowFirst`: the two bytes of each register are exchanged; all bytes where each is a cell.
     pub bytes: Order,
     pub byte: Option<Byte>,
     /// First and last bit, counted from the lowest.
@@ -43,44 +54,65 @@ pub struct Layout {
 }
 
 impl Kind {
-    pub const fn registers(self) -> u16 {
+    pub const fn bytes(self) -> u16 {
         match self {
-            Self::U16 | Self::I16 => 1,
-            Self::U32 | Self::I32 | Self::F32 => 2,
+            Self::U8 | Self::I8 => 1,
+            Self::U16 | Self::I16 => 2,
+            Self::U32 | Self::I32 | Self::F32 => 4,
         }
     }
 
     pub const fn is_signed(self) -> bool {
-        !matches!(self, Self::U16 | Self::U32)
+        !matches!(self, Self::U8 | Self::U16 | Self::U32)
     }
 }
 
 impl Layout {
     pub const fn plain(kind: Kind) -> Self {
-        Self { kind, words: Order::HighFirst, bytes: Order::HighFirst, byte: None, bits: None }
+        let order = Order::HighFirst;
+        Self { kind, cell: CellSize::Register, words: order, bytes: order, byte: None, bits: None }
     }
 
-    pub const fn registers(&self) -> u16 {
-        self.kind.registers()
+    pub const fn cells(&self) -> u16 {
+        let bytes = self.kind.bytes();
+        match self.cell {
+            CellSize::Byte => bytes,
+            CellSize::Register => bytes.div_ceil(2),
+        }
     }
 
-    /// The bits as they are, before a type is read into them; `None` where registers are missing.
-    pub fn pattern(&self, registers: &[u16]) -> Option<u32> {
-        let word = |word: u16| match self.bytes {
-            Order::HighFirst => word,
-            Order::LowFirst => word.swap_bytes(),
-        };
-        let whole = match (self.registers(), registers) {
-            (1, [one, ..]) => u32::from(word(*one)),
-            (2, [first, second, ..]) => {
-                let (high, low) = match self.words {
-                    Order::HighFirst => (word(*first), word(*second)),
-                    Order::LowFirst => (word(*second), word(*first)),
-                };
-                (u32::from(high) << 16) | u32::from(low)
+    /// Orders cells as the drive has them into those of the highest first, and back.
+    fn ordered(self, cells: &mut [u16]) {
+        match (self.cell, self.words, self.bytes) {
+            (CellSize::Byte, _, Order::HighFirst) => {}
+            (CellSize::Byte, _, Order::LowFirst) => cells.reverse(),
+            (CellSize::Register, words, bytes) => {
+                if words == Order::LowFirst {
+                    cells.reverse();
+                }
+                if bytes == Order::LowFirst {
+                    for cell in cells {
+                        *cell = cell.swap_bytes();
+                    }
+                }
             }
-            _ => return None,
-        };
+        }
+    }
+
+    /// Bits of one cell.
+    const fn cell_bits(self) -> u32 {
+        match self.cell {
+            CellSize::Byte => 8,
+            CellSize::Register => 16,
+        }
+    }
+
+    /// The bits as they are, before a type is read into them; `None` where cells are missing.
+    pub fn pattern(&self, cells: &[u16]) -> Option<u32> {
+        let mut cells = cells.get(..self.cells().into())?.to_vec();
+        self.ordered(&mut cells);
+        let bits = self.cell_bits();
+        let whole = cells.iter().fold(0, |whole, cell| (whole << bits) | u32::from(*cell));
         let part = match self.byte {
             Some(Byte::High) => (whole >> 8) & 0xFF,
             Some(Byte::Low) => whole & 0xFF,
@@ -97,7 +129,7 @@ impl Layout {
         match (self.bits, self.byte) {
             (Some((first, last)), _) => (last - first) as u16 + 1,
             (None, Some(_)) => 8,
-            (None, None) => 16 * self.registers(),
+            (None, None) => 8 * self.kind.bytes(),
         }
     }
 
@@ -109,21 +141,23 @@ impl Layout {
         let [.., high, low] = pattern.to_be_bytes();
         let word = u16::from_be_bytes([high, low]);
         match (self.kind, self.byte) {
-            (Kind::I16, Some(_)) => f64::from(i8::from_be_bytes([low])),
+            (Kind::I16, Some(_)) | (Kind::I8, _) => f64::from(i8::from_be_bytes([low])),
             (Kind::I16, None) => f64::from(word.cast_signed()),
             (Kind::I32, _) => f64::from(pattern.cast_signed()),
             (Kind::F32, _) => f64::from(f32::from_bits(pattern)),
-            (Kind::U16 | Kind::U32, _) => f64::from(pattern),
+            (Kind::U8 | Kind::U16 | Kind::U32, _) => f64::from(pattern),
         }
     }
 
-    /// The registers that hold a raw number, rounded; `None` where the type does not hold it.
+    /// The cells that hold a raw number, rounded; `None` where the type does not hold it.
     pub fn encode(&self, raw: f64) -> Option<Vec<u16>> {
         if !raw.is_finite() || self.byte.is_some() || self.bits.is_some() {
             return None;
         }
         let raw_whole = raw.round();
         let (lowest, highest) = match self.kind {
+            Kind::U8 => (0.0, f64::from(u8::MAX)),
+            Kind::I8 => (f64::from(i8::MIN), f64::from(i8::MAX)),
             Kind::U16 => (0.0, f64::from(u16::MAX)),
             Kind::I16 => (f64::from(i16::MIN), f64::from(i16::MAX)),
             Kind::U32 => (0.0, f64::from(u32::MAX)),
@@ -140,22 +174,18 @@ impl Layout {
         )]
         let pattern = match self.kind {
             Kind::F32 => (raw as f32).to_bits(),
-            Kind::U16 | Kind::U32 => raw_whole as u32,
-            Kind::I16 | Kind::I32 => (raw_whole as i32).cast_unsigned(),
+            Kind::U8 | Kind::U16 | Kind::U32 => raw_whole as u32,
+            Kind::I8 | Kind::I16 | Kind::I32 => (raw_whole as i32).cast_unsigned(),
         };
-        let [b3, b2, b1, b0] = pattern.to_be_bytes();
-        let (high, low) = (u16::from_be_bytes([b3, b2]), u16::from_be_bytes([b1, b0]));
-        let mut registers = match (self.registers(), self.words) {
-            (1, _) => vec![low],
-            (_, Order::HighFirst) => vec![high, low],
-            (_, Order::LowFirst) => vec![low, high],
+        let bytes = pattern.to_be_bytes();
+        let [b3, b2, b1, b0] = bytes;
+        let all = match self.cell {
+            CellSize::Byte => bytes.map(u16::from).to_vec(),
+            CellSize::Register => vec![u16::from_be_bytes([b3, b2]), u16::from_be_bytes([b1, b0])],
         };
-        if self.bytes == Order::LowFirst {
-            for word in &mut registers {
-                *word = word.swap_bytes();
-            }
-        }
-        Some(registers)
+        let mut cells = all[all.len() - usize::from(self.cells())..].to_vec();
+        self.ordered(&mut cells);
+        Some(cells)
     }
 }
 
@@ -177,8 +207,14 @@ mod tests {
         (low_first.words, swapped.bytes) = (Order::LowFirst, Order::LowFirst);
         let (mut high, mut bits) = (plain(Kind::U16), plain(Kind::U16));
         (high.byte, bits.bits) = (Some(Byte::High), Some((3, 5)));
+        let of_bytes = |kind, bytes| Layout { cell: CellSize::Byte, bytes, ..plain(kind) };
         for (layout, registers, number) in [
-            (plain(Kind::U16), &[0xFFFF][..], 65_535.0),
+            (of_bytes(Kind::U8, Order::LowFirst), &[0xC8][..], 200.0),
+            (of_bytes(Kind::I8, Order::LowFirst), &[0xFF], -1.0),
+            (of_bytes(Kind::I16, Order::LowFirst), &[0xFE, 0xFF], -2.0),
+            (of_bytes(Kind::I32, Order::HighFirst), &[0xFF, 0xFF, 0xFF, 0xFD], -3.0),
+            (of_bytes(Kind::U32, Order::LowFirst), &[1, 2, 0, 0], 513.0),
+            (plain(Kind::U16), &[0xFFFF], 65_535.0),
             (plain(Kind::I16), &[0xFFFF], -1.0),
             (plain(Kind::I32), &[0xFFFF, 0xFFFE], -2.0),
             (plain(Kind::U32), &[1, 2], 65_538.0),
@@ -198,9 +234,12 @@ mod tests {
 
     proptest! {
         #[test]
-        fn what_is_encoded_is_decoded(raw in -40_000_i32..70_000, kind in 0..4_usize, low_first: bool, swapped: bool) {
+        fn what_is_encoded_is_decoded(
+            raw in -40_000_i32..70_000, kind in 0..4_usize, low_first: bool, swapped: bool, of_bytes: bool
+        ) {
             let order = |flag| if flag { Order::LowFirst } else { Order::HighFirst };
             let layout = Layout {
+                cell: if of_bytes { CellSize::Byte } else { CellSize::Register },
                 words: order(low_first),
                 bytes: order(swapped),
                 ..Layout::plain([Kind::U16, Kind::I16, Kind::U32, Kind::I32][kind])

@@ -157,13 +157,13 @@ fn the_watchdog_of_a_running_drive_is_left_as_it_is() {
     let time = |table: &mut Table| {
         table.link.identify().unwrap();
         let read = drivebench_link::ReadRequest::holding(0, 1);
-        table.link.bus_mut().read(read).unwrap().words[0]
+        table.link.bus_mut().read(read).unwrap().cells[0]
     };
     let mut idle = Table::new("siemens-v20");
     assert_eq!(time(&mut idle), 1000);
     let mut runs = Table::identified("siemens-v20", &[]);
     runs.enable(speed_ref(10.0));
-    runs.link.bus_mut().write(16, 0, &[0]).unwrap();
+    runs.link.bus_mut().write(Put { function: 16, address: 0, cells: &[0] }).unwrap();
     assert_eq!(time(&mut runs), 0, "as somebody else has set it");
     runs.pass(60.0);
     assert!(runs.far().is_running(), "long after this host has gone");

@@ -6,8 +6,8 @@ use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
+use crate::cell_bus::CellTable;
 use crate::framing::FrameKind;
-use crate::register_bus::RegisterTable;
 use crate::scripted::{Delayed, Scripted, frame};
 use crate::virtual_line::{modbus_link, paused};
 
@@ -305,7 +305,7 @@ fn a_peer_that_closes_ends_the_batch() {
 fn requests_are_the_bytes_of_the_standard() {
     const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
     let sent = with_client(Abilities::default(), 100, always(Fault::None), |client| {
-        let read = ReadRequest { table: RegisterTable::Input, ..ReadRequest::holding(0x0108, 3) };
+        let read = ReadRequest { table: CellTable::Input, ..ReadRequest::holding(0x0108, 3) };
         assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
         let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
         client.write(single, 1, &[0x0203]).unwrap();

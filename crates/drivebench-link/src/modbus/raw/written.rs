@@ -6,8 +6,8 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::{RawClient, WriteFunction, read_batch};
+use crate::cell_bus::ReadRequest;
 use crate::link::{LinkError, Result};
-use crate::register_bus::ReadRequest;
 use crate::timing::wait_until;
 use crate::waiting::now;
 

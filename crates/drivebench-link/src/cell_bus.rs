@@ -1,74 +1,87 @@
-//! Register bus: reads and writes of registers, the interface that a profiled drive needs of its link.
+//! Bus of cells: the interface that a profiled drive needs of its link. A cell is a register, or one byte where a drive is addressed
+//! by bytes.
 
 use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
+use super::register_map::Location;
 use super::transaction::{LineCounts, StopRequest};
 
 /// Most registers of one request (MODBUS Application Protocol V1.1b3, 6.3 and 6.12).
 pub const MOST_READ: u16 = 125;
 pub const MOST_WRITTEN: usize = 123;
 
-/// Lengths of RTU frames without the registers that they carry, bytes.
-pub(super) struct FrameBytes {
-    pub(super) read: usize,
-    pub(super) read_reply: usize,
-    /// Write of several registers.
-    pub(super) write: usize,
-    /// Acknowledgement of a write; also the write of one register.
-    pub(super) written: usize,
-    /// Function code 23.
-    pub(super) read_write: usize,
-}
-
-pub(super) const RTU: FrameBytes =
-    FrameBytes { read: 8, read_reply: 5, write: 9, written: 8, read_write: 13 };
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RegisterTable {
+/// Where cells lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum CellTable {
     Holding,
     Input,
+    /// A control table of bytes.
+    Bytes,
+    /// Bytes of the values that the bits of this mask select.
+    Fields(u32),
+    /// Bytes of the reply to this command.
+    Reply(u8),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReadRequest {
-    pub table: RegisterTable,
+    pub table: CellTable,
     /// Protocol address, from 0.
     pub address: u16,
-    /// 1 to [`MOST_READ`].
+    /// Registers: 1 to [`MOST_READ`].
     pub count: u16,
 }
 
 impl ReadRequest {
     pub const fn holding(address: u16, count: u16) -> Self {
-        Self { table: RegisterTable::Holding, address, count }
+        Self { table: CellTable::Holding, address, count }
     }
 
-    /// The address behind its last register.
+    /// The address behind its last cell.
     pub(super) const fn end(self) -> u32 {
         self.address as u32 + self.count as u32
     }
 
-    pub(super) const fn reply_bytes(self) -> usize {
-        RTU.read_reply + 2 * self.count as usize
+    /// Where the cells of a location lie among those that were read.
+    pub(super) fn offset_of(self, location: &Location) -> usize {
+        usize::from(location.address.saturating_sub(self.address))
     }
 
+    /// As a request of Modbus; those for other cells look like one to the proof of synchronisation.
     pub(super) const fn pdu(self) -> [u8; 5] {
         let [a, b] = self.address.to_be_bytes();
         let [c, d] = self.count.to_be_bytes();
         let function = match self.table {
-            RegisterTable::Holding => 3,
-            RegisterTable::Input => 4,
+            CellTable::Input => 4,
+            _ => 3,
         };
         [function, a, b, c, d]
     }
 
     /// `read 2 registers at 7`.
     pub(super) fn text(self) -> String {
-        format!("read {} at {}", registers(self.count.into()), self.address)
+        let Self { table, address, count } = self;
+        match table {
+            CellTable::Holding | CellTable::Input => {
+                format!("read {} at {address}", registers(count.into()))
+            }
+            CellTable::Bytes => format!("read {count} bytes at {address}"),
+            CellTable::Fields(mask) => format!("read the values of mask {mask:#010x}"),
+            CellTable::Reply(command) => format!("command {command}"),
+        }
     }
 }
 
 pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
+}
+
+/// One write.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Put<'a> {
+    /// Modbus: function code 6 (one register) or 16. VESC: the command.
+    pub function: u8,
+    pub address: u16,
+    pub cells: &'a [u16],
 }
 
 /// The host times between which something was done at the far end, s.
@@ -94,15 +107,15 @@ impl Span {
     }
 }
 
-/// Registers as they were read, and when the drive took their values.
+/// Cells as they were read, and when the drive took their values.
 #[derive(Clone, Debug, PartialEq)]
-pub struct RegistersRead {
-    pub words: Vec<u16>,
+pub struct CellsRead {
+    pub cells: Vec<u16>,
     pub span: Span,
 }
 
-/// Reads and writes registers, each call bounded by the bus's own deadline for it, and keeps the host's time.
-pub trait RegisterBus: Send {
+/// Reads and writes cells, each call bounded by the bus's own deadline for it, and keeps the host's time.
+pub trait CellBus: Send {
     fn name(&self) -> LinkName;
 
     /// Host time, s since an origin of the bus's own.
@@ -111,28 +124,24 @@ pub trait RegisterBus: Send {
     /// Lets host time pass; a time that has passed changes nothing.
     fn pause_until_s(&mut self, time_s: f64);
 
-    /// Reads registers. A read has no side effects, so it may be repeated within its deadline.
-    fn read(&mut self, read: ReadRequest) -> Result<RegistersRead>;
+    /// Reads cells. A read has no side effects, so it may be repeated within its deadline.
+    fn read(&mut self, read: ReadRequest) -> Result<CellsRead>;
 
-    /// Writes with function code 6 (one register) or 16; never repeated by itself. When it was carried out.
-    fn write(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span>;
+    /// Writes cells; never repeated by itself. When it was carried out.
+    fn write(&mut self, put: Put<'_>) -> Result<Span>;
 
     /// As `write`, on a line in doubt too: what brings a drive to rest does not wait for silence or a probe. The doubt stays.
     ///
     /// On such a line it waits for one turnaround and no longer, so that the next write can follow where no reply came.
-    fn write_at_once(&mut self, function: u8, address: u16, values: &[u16]) -> Result<Span> {
-        self.write(function, address, values)
+    fn write_at_once(&mut self, put: Put<'_>) -> Result<Span> {
+        self.write(put)
     }
 
-    /// Writes holding registers and then reads others, in one transaction (function code 23) where the bus has one; never
-    /// repeated by itself. The times are those between which both were done.
-    fn read_write(
-        &mut self,
-        (to, values): (u16, &[u16]),
-        (from, count): (u16, u16),
-    ) -> Result<RegistersRead> {
-        let written = self.write(16, to, values)?;
-        let mut read = self.read(ReadRequest::holding(from, count))?;
+    /// Writes cells and then reads others, in one transaction where the bus has one; never repeated by itself. The times are those
+    /// between which both were done.
+    fn read_write(&mut self, put: Put<'_>, read: ReadRequest) -> Result<CellsRead> {
+        let written = self.write(put)?;
+        let mut read = self.read(read)?;
         read.span.asked_s = written.asked_s;
         Ok(read)
     }
@@ -145,7 +154,7 @@ pub trait RegisterBus: Send {
         false
     }
 
-    /// As [`DriveLink::bound`](super::DriveLink::bound); [`RegisterBus::write_at_once`] is not bound.
+    /// As [`DriveLink::bound`](super::DriveLink::bound); [`CellBus::write_at_once`] is not bound.
     fn bound(&mut self, _left_s: f64) {}
 
     /// As [`DriveLink::stop_request`](super::DriveLink::stop_request).
@@ -153,7 +162,7 @@ pub trait RegisterBus: Send {
         None
     }
 
-    /// Lets go of what carries the registers.
+    /// Lets go of what carries the cells.
     fn close(&mut self) {}
 
     fn statistics(&self) -> LinkStatistics;

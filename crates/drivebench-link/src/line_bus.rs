@@ -1,0 +1,266 @@
+//! The bus of cells over a line, in whatever language: each turn proven as the drive's profile allows.
+//!
+//! ```text
+//! in step? (proof.rs) -> turn -> reply -> the time that replies usually take, and the gap
+//!                                                  -> nothing else came? -> value
+//! ```
+//!
+//! A copy of an earlier reply that comes in the place of the true one is followed by it: so a value is handed on only
+//! when the time of the true one is over. The gap is waited for behind the reply instead of before the next request.
+//! Where every reply carries the number of its request none of this is needed.
+
+use std::collections::VecDeque;
+use std::time::Duration;
+
+use super::cell_bus::{CellBus, CellsRead, Put, ReadRequest, Span};
+use super::exchange::{Exchange, Query};
+use super::framing::Turn;
+use super::link::{LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link_core::Answer;
+use super::proof::Method;
+use super::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
+use super::timing::wait_until;
+use super::transaction::{LineCounts, StopRequest};
+use super::waiting::now;
+
+/// Round trips from which the usual time of a reply is estimated.
+const ROUND_TRIPS: usize = 32;
+
+/// How the turns of a drive become requests.
+pub(super) trait Language: Send {
+    /// Carries out one turn; who calls has listened. The cells that were read.
+    fn call(
+        &mut self,
+        exchange: &mut Exchange,
+        turn: Turn<'_>,
+        query: Query<'_>,
+    ) -> Result<Answer<Vec<u16>>>;
+
+    /// Carries out one request of the proof.
+    fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()>;
+
+    /// An object of its device identification; `None` where it has none.
+    fn object(&mut self, _exchange: &mut Exchange, _object: u8) -> Result<Option<String>> {
+        Ok(None)
+    }
+}
+
+/// A drive on a line, whose replies are matched with their requests by a method that it supports.
+pub(super) struct LineBus<L> {
+    language: L,
+    exchange: Exchange,
+    emulated: bool,
+    /// The unit answers no probe.
+    silence_proves: bool,
+    /// Of the latest reads, and how much longer than their wire time they took.
+    round_trips: VecDeque<(Duration, Duration)>,
+}
+
+impl<L: Language> LineBus<L> {
+    pub(super) fn new(language: L, mut exchange: Exchange, map: &RegisterMap) -> Self {
+        let is_exact = |block: &ReadBlock| {
+            let whole = (block.read.address, block.read.count);
+            map.exact_reads.contains(&whole)
+        };
+        // Cells that can be read in any number up to the whole, for the length code.
+        let blocks = plan_reads(map, PollRate::Fast).into_iter();
+        let place = blocks.filter(|block| !is_exact(block)).max_by_key(|block| block.read.count);
+        let method = match map.resync {
+            Resync::Fc08 => Method::Nonce,
+            Resync::Length => Method::Length,
+            Resync::Tid | Resync::None => Method::Silence,
+        };
+        let place = place.map(|block| (block.read, block.read.count));
+        exchange.proof.set_policy(method, place);
+        Self {
+            language,
+            exchange,
+            silence_proves: method == Method::Silence,
+            emulated: false,
+            round_trips: VecDeque::with_capacity(ROUND_TRIPS),
+        }
+    }
+
+    /// Whether the far end is the software drive of this process.
+    #[must_use]
+    pub(super) const fn emulated(mut self, emulated: bool) -> Self {
+        self.emulated = emulated;
+        self
+    }
+
+    fn in_step(&mut self, turn: Turn<'_>) -> Result<()> {
+        let Self { language, exchange, .. } = self;
+        exchange.in_step(&turn.pdu(), |exchange, pdu| language.probe(exchange, pdu))
+    }
+
+    fn call(&mut self, turn: Turn<'_>, allowed: Duration) -> Result<Answer<Vec<u16>>> {
+        let what = turn.text();
+        let query = Query::plain(turn.pdu(), &what, allowed, turn.requested());
+        self.language.call(&mut self.exchange, turn, query)
+    }
+
+    /// Bytes of a turn on the line.
+    fn bytes(&self, turn: Turn<'_>) -> (usize, usize) {
+        self.exchange.kind.bytes(turn)
+    }
+
+    /// A turn whose reply is accepted only if no second one comes within the usual time of a reply.
+    fn alone(&mut self, turn: Turn<'_>) -> Result<CellsRead> {
+        self.in_step(turn)?;
+        let (request, reply) = self.bytes(turn);
+        let wire = self.exchange.core.timing.wire(request, reply);
+        let sent = now();
+        let stale_frames = |bus: &Self| bus.exchange.filter.inner().reception.line.stale_frames;
+        let before = stale_frames(self);
+        let usual = self.longest(|(took, _)| *took);
+        if self.exchange.core.bound.ends_before(sent + usual) {
+            // Its reply would arrive outside an exchange and put the line in doubt.
+            return Err(self.exchange.unproven());
+        }
+        let answer = self.call(turn, self.allowed(request, reply))?;
+        let answer = CellsRead { cells: answer.value, span: answer.span };
+        if self.exchange.kind.is_numbered() {
+            return Ok(answer);
+        }
+        let took = now().saturating_duration_since(sent);
+        self.remember(took, wire);
+        if took < usual {
+            wait_until(sent + usual);
+        }
+        if !self.exchange.proof.is_doubtful() {
+            self.exchange.listen_out()?;
+        }
+        if self.exchange.proof.is_doubtful() {
+            let name = self.exchange.core.name.clone();
+            let what = turn.text();
+            return Err(if stale_frames(self) > before {
+                LinkError::Stale(name, format!("another reply came with that to {what}"))
+            } else {
+                LinkError::Corrupt(name, format!("other bytes came with the reply to {what}"))
+            });
+        }
+        Ok(answer)
+    }
+
+    /// Time of one exchange: a bounded one belongs to a cycle.
+    fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+        let core = &self.exchange.core;
+        if core.bound.is_set() {
+            core.timing.hurried(request_bytes, reply_bytes)
+        } else {
+            core.timing.allowed(request_bytes, reply_bytes)
+        }
+    }
+
+    /// Updates the usual time of a reply; a silence that is the only proof keeps its length.
+    fn remember(&mut self, took: Duration, wire: Duration) {
+        if self.round_trips.len() == ROUND_TRIPS {
+            self.round_trips.pop_front();
+        }
+        let lag = took.saturating_sub(wire);
+        self.round_trips.push_back((took, lag));
+        if self.round_trips.len() == ROUND_TRIPS && !self.silence_proves {
+            let lag = self.longest(|(_, lag)| *lag);
+            let timing = &mut self.exchange.core.timing;
+            timing.measured(lag);
+            self.exchange.proof.set_quiet(timing.quiet());
+        }
+    }
+
+    /// Longest of the latest round trips except the two longest, which a busy host may have delayed.
+    fn longest(&self, of: impl Fn(&(Duration, Duration)) -> Duration) -> Duration {
+        let mut longest: Vec<Duration> = self.round_trips.iter().map(of).collect();
+        longest.sort_unstable_by(|a, b| b.cmp(a));
+        longest.get(2).copied().unwrap_or_default()
+    }
+}
+
+impl<L: Language> CellBus for LineBus<L> {
+    fn name(&self) -> LinkName {
+        LinkName(self.exchange.core.name.clone())
+    }
+
+    fn now_s(&self) -> f64 {
+        self.exchange.core.host_s(now())
+    }
+
+    fn pause_until_s(&mut self, time_s: f64) {
+        if let Ok(since) = Duration::try_from_secs_f64(time_s) {
+            wait_until(self.exchange.core.epoch + since);
+        }
+    }
+
+    fn read(&mut self, read: ReadRequest) -> Result<CellsRead> {
+        let mut attempt = 1;
+        loop {
+            match self.alone(Turn::read(read)) {
+                Err(error) if self.exchange.may_retry(&error, attempt) => attempt += 1,
+                result => return result,
+            }
+        }
+    }
+
+    fn write(&mut self, put: Put<'_>) -> Result<Span> {
+        let turn = Turn::write(put);
+        self.in_step(turn)?;
+        let (request, reply) = self.bytes(turn);
+        Ok(self.call(turn, self.allowed(request, reply))?.span)
+    }
+
+    fn write_at_once(&mut self, put: Put<'_>) -> Result<Span> {
+        self.exchange.listen()?;
+        let turn = Turn::write(put);
+        let (request, reply) = self.bytes(turn);
+        let timing = &self.exchange.core.timing;
+        let mut allowed = timing.allowed(request, reply);
+        if self.exchange.proof.is_doubtful() {
+            // On a line in doubt the reply is awaited no longer than usual.
+            allowed = allowed.min(timing.brief(request, reply));
+        }
+        // What stops a drive has its own short time, whatever is left of that for reading.
+        let bound = std::mem::take(&mut self.exchange.core.bound);
+        let result = self.call(turn, allowed);
+        self.exchange.core.bound = bound;
+        Ok(result?.span)
+    }
+
+    fn read_write(&mut self, put: Put<'_>, read: ReadRequest) -> Result<CellsRead> {
+        self.alone(Turn { put: Some(put), read: Some(read) })
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>> {
+        self.language.object(&mut self.exchange, object)
+    }
+
+    fn is_emulated(&self) -> bool {
+        self.emulated
+    }
+
+    fn close(&mut self) {
+        self.exchange.close();
+    }
+
+    fn statistics(&self) -> LinkStatistics {
+        self.exchange.core.tally.statistics
+    }
+
+    fn round_trips(&self) -> Option<&RoundTrips> {
+        Some(&self.exchange.core.tally.round_trips)
+    }
+
+    fn line(&self) -> Option<LineCounts> {
+        Some(self.exchange.line_counts())
+    }
+
+    fn bound(&mut self, left_s: f64) {
+        self.exchange.core.bound.set(left_s, now());
+    }
+
+    fn stop_request(&mut self) -> Option<&mut StopRequest> {
+        Some(&mut self.exchange.core.bound.stop_request)
+    }
+
+    fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
+        self.exchange.core.timing.shortest_cycle_s(request_bytes, reply_bytes)
+    }
+}
