@@ -61,9 +61,14 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let link = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
     let link = Protocol::named(link).ok_or_else(|| {
         let headline = format!("link {link:?} is not known");
-        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp, stream")
+        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp, stream; a drive of another language has its own")
     })?;
     if guise.is_some() {
+        let own = profile.link.protocol;
+        if !own.is_modbus() && link != own {
+            let headline = format!("{} speaks {own}, not {link}", profile.name);
+            return Err(Failure::usage(headline, "leave --link out"));
+        }
         if link == Protocol::Stream {
             return Err(Failure::usage(
                 opening::not_the_stream(&profile),

@@ -19,7 +19,8 @@ use drivebench_link as drive;
 use drivebench_link::register_map::Quantity;
 use drivebench_link::{
     DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict, ProbedSignal,
-    RawClient, RawSettings, ReadRequest, Target, Unexpected, open_stream, probe, probe_stream,
+    RawClient, RawSettings, ReadRequest, Target, Unexpected, open_cells, open_stream, probe,
+    probe_cells, probe_stream,
 };
 use drivebench_model::text::number::{reading, with_unit};
 
@@ -311,6 +312,13 @@ fn look(
         let mut link = open_stream(&far_end.target, &profile, epoch, tap.file())?;
         return Ok(probe_stream(&mut link, &profile)?);
     }
+    if let (false, Some(map)) = (profile.link.protocol.is_modbus(), &profile.registers) {
+        let mut profile = profile.clone();
+        (profile.link.baud, profile.link.framing) = (settings.baud, settings.framing);
+        let epoch = MonotonicClock::start().origin();
+        let mut bus = open_cells(&far_end.target, &profile, map, epoch, tap.file())?;
+        return Ok(probe_cells(&mut bus, &profile)?);
+    }
     let mut client = RawClient::open(&far_end.target, &settings, tap.file())?;
     Ok(probe(&mut client, profile, ProbeDepth::Whole)?)
 }
@@ -558,7 +566,7 @@ fn survey(
     // Profiles of one line are tried over one opening of the port.
     let mut lines: Vec<(RawSettings, Vec<&DriveProfile>)> = Vec::new();
     for profile in &profiles {
-        if profile.link.protocol == drive::Protocol::Stream {
+        if !profile.link.protocol.is_modbus() {
             let reason = "its frames are no Modbus: try it with --drive";
             survey.push(profile, Fit::NotTried, reason.to_owned());
             continue;

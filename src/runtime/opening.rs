@@ -61,6 +61,16 @@ fn refuse_missing(path: &Path) -> Result<(), Failure> {
 fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failure> {
     let (profile, text) = profile(&bench.drive.profile)?;
     bench.link.baud.get_or_insert(profile.link.baud);
+    let language = profile.link.protocol;
+    if !language.is_modbus() && profile.registers.is_some() {
+        if ![Protocol::default(), language].contains(&bench.link.protocol) {
+            return Err(Failure::usage(
+                format!("{} does not speak {}", profile.name, bench.link.protocol),
+                format!("set link.protocol to {language}, or leave it out"),
+            ));
+        }
+        bench.link.protocol = language;
+    }
     if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
         let headline = not_the_stream(&profile);
         let help = "set link.protocol to modbus-rtu, modbus-tcp or modbus-rtu-over-tcp";
@@ -148,7 +158,7 @@ pub(crate) fn in_memory(
     Ok(Box::new(MemoryLink::new(SoftDrive::new(config, seed), time, latency(config, bench))))
 }
 
-/// The software drive on a Modbus RTU line in memory.
+/// The software drive on a serial line in memory.
 pub(crate) fn on_a_line(
     config: &EmulatorConfig,
     bench: &BenchFile,
@@ -157,7 +167,7 @@ pub(crate) fn on_a_line(
     time: VirtualClock,
 ) -> Result<Box<dyn DriveLink>, Failure> {
     let protocol = bench.link.protocol;
-    if protocol != Protocol::ModbusRtu {
+    if matches!(protocol, Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp | Protocol::Stream) {
         return Err(Failure::usage(
             format!("--port sim:rtu is a line of Modbus RTU, and link.protocol is {protocol}"),
             "set link.protocol to modbus-rtu, or give --port sim:",
@@ -170,8 +180,8 @@ pub(crate) fn on_a_line(
 fn latency(config: &EmulatorConfig, bench: &BenchFile) -> Latency {
     let mut line = config.line.clone();
     line.baud = match bench.link.protocol {
-        Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp => 0,
-        Protocol::ModbusRtu | Protocol::Stream => bench.baud(),
+        network if network.is_network() => 0,
+        _ => bench.baud(),
     };
     Latency::of_line(&line, bench.link.protocol == Protocol::ModbusRtu)
 }
@@ -184,11 +194,10 @@ pub(crate) fn serve(
     guise: Option<Guise>,
 ) -> Result<ServerHandle, Failure> {
     config.suits(guise.is_some(), protocol)?;
-    let endpoint = match protocol {
-        drive::Protocol::ModbusRtu | drive::Protocol::Stream => Endpoint::temporary_pty(),
-        drive::Protocol::ModbusTcp | drive::Protocol::ModbusRtuOverTcp => {
-            Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
-        }
+    let endpoint = if protocol.is_network() {
+        Endpoint::Tcp(SocketAddr::from(([127, 0, 0, 1], 0)))
+    } else {
+        Endpoint::temporary_pty()
     };
     spawn_as(guise, config, seed, protocol, endpoint)
         .map_err(|error| Failure::link(error.to_string(), error.help()))
@@ -196,11 +205,10 @@ pub(crate) fn serve(
 
 /// The address of a served emulator.
 pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
-    match protocol {
-        drive::Protocol::ModbusTcp | drive::Protocol::ModbusRtuOverTcp => {
-            format!("tcp:{}", handle.address())
-        }
-        drive::Protocol::ModbusRtu | drive::Protocol::Stream => handle.address().to_owned(),
+    if protocol.is_network() {
+        format!("tcp:{}", handle.address())
+    } else {
+        handle.address().to_owned()
     }
 }
 

@@ -664,12 +664,12 @@ impl Connection {
             Ok::<_, Failure>(open_tapped(&target, profile, real.origin(), tap.file())?)
         };
         let link: Box<dyn DriveLink> = match (&port, &emulator) {
-            (Port::Sim, Some(config)) => {
+            (Port::Sim, Some(config)) if profile.link.protocol.has_memory_link() => {
                 let time = VirtualClock::new();
                 clock = Box::new(time.clone());
                 in_memory(config, bench, guise.as_ref(), time)?
             }
-            (Port::SimRtu, Some(config)) => {
+            (Port::Sim | Port::SimRtu, Some(config)) => {
                 let time = VirtualClock::new();
                 clock = Box::new(time.clone());
                 on_a_line(config, bench, guise.as_ref(), profile, time)?

@@ -239,7 +239,7 @@ fn unproven_watchdog(request: &InitRequest<'_>) -> Option<String> {
 /// Over TCP there is no RTU, and over a serial port no TCP; the registers are the same.
 fn protocol(profile: &DriveProfile, port: &str) -> Protocol {
     match (profile.link.protocol, Port::parse(port)) {
-        (Protocol::Stream, _) => Protocol::Stream,
+        (own, _) if !own.is_modbus() => own,
         (Protocol::ModbusRtuOverTcp, Some(Port::Tcp(_) | Port::Emulator | Port::Sim)) => {
             Protocol::ModbusRtuOverTcp
         }

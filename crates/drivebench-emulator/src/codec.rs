@@ -5,6 +5,7 @@ use firmware_protocol::registers::{COMMAND_ADDRESS, COMMAND_WORDS};
 use firmware_protocol::{Control, DriveCommand, stream};
 
 use super::drive::answer_stream;
+use super::foreign::PacketReceiver;
 use super::{ForeignDrive, SoftDrive};
 use drivebench_link::Protocol;
 
@@ -24,6 +25,11 @@ pub(super) trait Responder: Send {
 
     /// The PDU that answers a request over Modbus.
     fn modbus(&mut self, request: &[u8]) -> Vec<u8>;
+
+    /// What answers the body of a packet of its own language.
+    fn packet(&mut self, _body: &[u8], _may_command: &mut dyn FnMut() -> bool) -> Option<Vec<u8>> {
+        None
+    }
 
     /// `None`: no answer; a drive of another make has no stream.
     fn stream(&mut self, _received: &Received) -> Option<stream::Frame> {
@@ -95,6 +101,10 @@ impl Responder for ForeignDrive {
         self.answer(request)
     }
 
+    fn packet(&mut self, body: &[u8], may_command: &mut dyn FnMut() -> bool) -> Option<Vec<u8>> {
+        self.answer_packet(body, may_command)
+    }
+
     fn foreign_write(&self) -> Vec<u8> {
         self.first_command()
     }
@@ -105,6 +115,7 @@ pub(super) enum Codec {
     ModbusRtu(Box<RtuReceiver>),
     ModbusTcp(Box<TcpReceiver>, u8),
     Stream(Box<stream::Decoder>),
+    Packets(PacketReceiver, Protocol),
 }
 
 impl Codec {
@@ -115,6 +126,7 @@ impl Codec {
             }
             Protocol::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
             Protocol::Stream => Self::Stream(Box::default()),
+            Protocol::Vesc | Protocol::Dynamixel => Self::Packets(PacketReceiver::default(), kind),
         }
     }
 
@@ -143,6 +155,10 @@ impl Codec {
                         answers.push(tcp::encode_frame(transaction, unit, &response).to_vec());
                     }
                 }
+            }
+            Self::Packets(receiver, protocol) => {
+                let body = receiver.push(*protocol, byte);
+                answers.extend(body.and_then(|body| drive.packet(&body, may_command)));
             }
             Self::Stream(decoder) => {
                 if let Some(received) = decoder.push(byte)

@@ -131,7 +131,7 @@ impl FaultKind {
     /// Where it would do nothing, as `(on what, what is allowed)`.
     fn idle(self, as_another: bool, protocol: Protocol) -> Option<(&'static str, &'static str)> {
         const ANOTHER: &str = "under the profile of another drive";
-        const STREAM: &str = "on the stream";
+        const STREAM: &str = "where the language is not Modbus";
         let is_stream = protocol == Protocol::Stream;
         match self {
             Self::LocalControl if !as_another => {
@@ -141,7 +141,7 @@ impl FaultKind {
                 Some((ANOTHER, "the profile own"))
             }
             Self::OtherVersion if is_stream => Some((STREAM, "modbus-rtu or modbus-tcp")),
-            Self::WrongUnit | Self::WrongRequest | Self::Exception if is_stream => {
+            Self::WrongUnit | Self::WrongRequest | Self::Exception if !protocol.is_modbus() => {
                 Some((STREAM, "modbus-rtu or modbus-tcp"))
             }
             Self::ForeignFrames | Self::SecondMaster if protocol != Protocol::ModbusRtu => {

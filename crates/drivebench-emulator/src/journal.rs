@@ -132,6 +132,12 @@ impl Responder for Journaled {
         answer
     }
 
+    fn packet(&mut self, body: &[u8], may_command: &mut dyn FnMut() -> bool) -> Option<Vec<u8>> {
+        let answer = self.drive.packet(body, may_command);
+        self.note();
+        answer
+    }
+
     fn foreign_write(&self) -> Vec<u8> {
         self.drive.foreign_write()
     }

@@ -17,7 +17,8 @@ pub fn open_line(
     profile: &DriveProfile,
     clock: VirtualClock,
 ) -> Result<Box<dyn DriveLink>, EmulatorConfigError> {
-    let protocol = Protocol::ModbusRtu;
+    let spoken = guise.map(|guise| guise.map.protocol).filter(|protocol| !protocol.is_modbus());
+    let protocol = spoken.unwrap_or(Protocol::ModbusRtu);
     config.suits(guise.is_some(), protocol)?;
     let drive: Box<dyn Responder> = match guise {
         Some(guise) => Box::new(ForeignDrive::new(guise, config, seed)),

@@ -329,6 +329,13 @@ impl Responder for FaultyLine<'_> {
         self.drive.stream(received)
     }
 
+    fn packet(&mut self, body: &[u8], may_command: &mut dyn FnMut() -> bool) -> Option<Vec<u8>> {
+        if self.is_blocked() {
+            return None;
+        }
+        self.drive.packet(body, may_command)
+    }
+
     fn foreign_write(&self) -> Vec<u8> {
         self.drive.foreign_write()
     }

@@ -93,16 +93,17 @@ impl LineBudget {
     /// map or stream; `None`: no serial line.
     pub fn of(profile: &DriveProfile) -> Option<Self> {
         let frames = match (profile.link.protocol, &profile.registers) {
-            (Protocol::ModbusTcp | Protocol::ModbusRtuOverTcp, _) => return None,
+            (protocol, _) if protocol.is_network() => return None,
             (_, Some(map)) => cycle_frames(map),
             (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
             (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],
+            (_, None) => return None,
         };
         Some(Self::of_frames(&profile.link, &frames))
     }
 
     fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
-        let with_gaps = settings.protocol != Protocol::Stream;
+        let with_gaps = settings.protocol.is_modbus();
         let line = LineTiming::serial(settings, settings.baud, with_gaps);
         let line = MeasuredLine {
             baud: settings.baud,
@@ -221,6 +222,7 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
     let joined = joint_point(map).zip(joint_block(map, &blocks));
     let zeros = [0; 4];
+    let kind = FrameKind::serial(map.protocol);
     let put = |point: &SetPoint| Put {
         function: point.function,
         address: point.location.address,
@@ -233,7 +235,7 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let reference = map.set_points.iter().find(|point| !point.is_word());
     let alone = reference.filter(|_| joined.is_none());
     let write = alone.map(|point| Turn::write(put(point)));
-    reads.chain(write).map(|turn| FrameKind::Rtu.bytes(turn)).collect()
+    reads.chain(write).map(|turn| kind.bytes(turn)).collect()
 }
 
 /// The first reference that may go out together with a read.
@@ -241,18 +243,21 @@ fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
     map.set_points.iter().find(|point| may_join(map, point))
 }
 
-/// Whether function code 23 may write it together with the read.
+/// Whether it may be written together with the read.
 pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
     // Function code 23 writes up to 121 registers (Modbus Application Protocol 1.1b3, 6.17).
     let fits = point.location.layout.cells() <= map.max_write.min(121);
     fits && point.is_reference() && !point.keys.readback
 }
 
-/// Position of the block that function code 23 can read: it has holding registers only.
+/// Position of the block that one request can read together with a write: over Modbus one of holding registers, by function code 23.
 pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
-    let can = map.functions.contains(&23);
-    let is_holding = |block: &ReadBlock| block.read.table == CellTable::Holding;
-    can.then(|| fast.iter().position(is_holding)).flatten()
+    let can = |block: &ReadBlock| match block.read.table {
+        CellTable::Holding => map.functions.contains(&23),
+        CellTable::Fields(_) => true,
+        _ => false,
+    };
+    fast.iter().position(can)
 }
 
 #[cfg(test)]

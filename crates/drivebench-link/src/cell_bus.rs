@@ -1,6 +1,7 @@
 //! Bus of cells: the interface that a profiled drive needs of its link. A cell is a register, or one byte where a drive is addressed
 //! by bytes.
 
+use super::framing::fields_width;
 use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
 use super::register_map::Location;
 use super::transaction::{LineCounts, StopRequest};
@@ -20,6 +21,8 @@ pub enum CellTable {
     Fields(u32),
     /// Bytes of the reply to this command.
     Reply(u8),
+    /// Nowhere: the value is computed from others.
+    Computed,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -43,7 +46,13 @@ impl ReadRequest {
 
     /// Where the cells of a location lie among those that were read.
     pub(super) fn offset_of(self, location: &Location) -> usize {
-        usize::from(location.address.saturating_sub(self.address))
+        match (self.table, location.table) {
+            // Those of the bits below it come first.
+            (CellTable::Fields(mask), CellTable::Fields(bit)) => {
+                fields_width(mask & (bit.wrapping_sub(1))).into()
+            }
+            _ => location.address.saturating_sub(self.address).into(),
+        }
     }
 
     /// As a request of Modbus; those for other cells look like one to the proof of synchronisation.
@@ -67,6 +76,7 @@ impl ReadRequest {
             CellTable::Bytes => format!("read {count} bytes at {address}"),
             CellTable::Fields(mask) => format!("read the values of mask {mask:#010x}"),
             CellTable::Reply(command) => format!("command {command}"),
+            CellTable::Computed => "nothing".to_owned(),
         }
     }
 }

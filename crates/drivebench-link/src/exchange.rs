@@ -10,7 +10,7 @@ use std::future::Future;
 use std::io::{self, ErrorKind};
 use std::time::{Duration, Instant};
 
-use super::exceptions::{Requested, exception_name};
+use super::exceptions::Requested;
 use super::framing::FrameKind;
 use super::link::{LinkError, Result};
 use super::link_core::{Answer, LinkCore, READ_ATTEMPTS};
@@ -68,8 +68,11 @@ impl<'a> Query<'a> {
 
 /// Why a request got no data.
 pub(super) enum NoData {
-    /// The drive refused it, with this code.
-    Refused(u8),
+    /// The drive refused it, with this code and its name.
+    Refused {
+        code: u8,
+        name: &'static str,
+    },
     /// A reply that is not the one to this request.
     Mismatch(String),
     Transport(io::Error),
@@ -87,7 +90,9 @@ impl Exchange {
     ) -> Self {
         let policy = match kind {
             FrameKind::Rtu => Policy::Fixed(Method::Nonce),
-            FrameKind::Tcp => Policy::Numbered,
+            FrameKind::Dynamixel => Policy::Fixed(Method::Length),
+            kind if kind.is_numbered() => Policy::Numbered,
+            _ => Policy::Fixed(Method::Silence),
         };
         Self {
             proof: Proof::new(policy, timing.quiet(), now()).always_apart(),
@@ -276,7 +281,13 @@ impl Exchange {
         let what = query.what;
         let result = match reply {
             Some(Ok(reply)) => check(reply).map_err(|reason| self.mismatch(reason)),
-            Some(Err(NoData::Refused(code))) => Err(self.refusal(what, query.requested, code)),
+            Some(Err(NoData::Refused { code, name })) => Err(LinkError::Exception {
+                link: self.core.name.clone(),
+                request: what.to_owned(),
+                code,
+                name,
+                requested: query.requested,
+            }),
             Some(Err(NoData::Mismatch(reason))) => Err(self.mismatch(reason)),
             Some(Err(NoData::Transport(error))) => Err(self.broken(&error, what)),
             // No reply in time: what came instead tells the class.
@@ -297,13 +308,16 @@ impl Exchange {
                 reception.retire();
             }
             self.proof.settle(end, reception, query.is_numbered, received);
-            (reception.asked, reception.answered)
+            let asked = reception.asked.unwrap_or(sent);
+            let answered = reception.answered.unwrap_or(received);
+            let lengths = (reception.expected.request.len(), reception.reply.len());
+            self.core.timing.acted(lengths, (asked, answered, received))
         };
         let core = &mut self.core;
         core.tally.settle(&result, waited.as_secs_f64());
         result.map(|value| Answer {
             value,
-            span: core.span(asked.unwrap_or(sent), answered.unwrap_or(received)),
+            span: core.span(asked, answered),
             complete_s: core.host_s(received),
         })
     }
@@ -329,16 +343,6 @@ impl Exchange {
             LinkError::Corrupt(self.core.name.clone(), error.to_string())
         } else {
             self.lost(error)
-        }
-    }
-
-    fn refusal(&self, what: &str, requested: Requested, code: u8) -> LinkError {
-        LinkError::Exception {
-            link: self.core.name.clone(),
-            request: what.to_owned(),
-            code,
-            name: exception_name(code),
-            requested,
         }
     }
 

@@ -75,10 +75,10 @@ pub use modbus::{
     Batch, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome,
     Written, read_batch,
 };
-pub use open::{Target, TargetError, open, open_modbus, open_stream, open_tapped};
+pub use open::{Target, TargetError, open, open_cells, open_modbus, open_stream, open_tapped};
 pub use probe::{
     ProbeDepth, ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState,
-    probe, probe_stream,
+    probe, probe_cells, probe_stream,
 };
 pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, SignalSides, Watchdog};
 pub use profiled::ProfiledLink;

@@ -12,8 +12,8 @@
 use std::collections::VecDeque;
 use std::time::Duration;
 
-use super::cell_bus::{CellBus, CellsRead, Put, ReadRequest, Span};
-use super::exchange::{Exchange, Query};
+use super::cell_bus::{CellBus, CellTable, CellsRead, Put, ReadRequest, Span};
+use super::exchange::{Exchange, NoData, Query};
 use super::framing::Turn;
 use super::link::{LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::Answer;
@@ -42,6 +42,48 @@ pub(super) trait Language: Send {
     /// An object of its device identification; `None` where it has none.
     fn object(&mut self, _exchange: &mut Exchange, _object: u8) -> Result<Option<String>> {
         Ok(None)
+    }
+}
+
+/// A language whose frames are made here, in framing/.
+pub(super) struct Framed {
+    unit: u8,
+    /// Turns so far: each has another number.
+    turns: u32,
+}
+
+impl Framed {
+    pub(super) const fn new(unit: u8) -> Self {
+        Self { unit, turns: 0 }
+    }
+}
+
+impl Language for Framed {
+    fn call(
+        &mut self,
+        exchange: &mut Exchange,
+        turn: Turn<'_>,
+        query: Query<'_>,
+    ) -> Result<Answer<Vec<u16>>> {
+        self.turns = self.turns.wrapping_add(1);
+        let kind = exchange.kind;
+        let request = kind.request(self.unit, turn, self.turns);
+        let filter = exchange.filter.clone();
+        let reply = async {
+            let reply = filter.ask(&request).await.map_err(NoData::Transport)?;
+            kind.cells(&reply, turn)
+        };
+        exchange.call(query, reply, Ok)
+    }
+
+    fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()> {
+        let [_, a, b, c, d] = pdu;
+        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+        let turn = Turn::read(ReadRequest { table: CellTable::Bytes, address, count });
+        let (request, reply) = exchange.kind.bytes(turn);
+        let allowed = exchange.core.timing.hurried(request, reply);
+        let query = Query::plain(pdu, "the probe", allowed, turn.requested());
+        self.call(exchange, turn, Query { is_probe: true, ..query }).map(drop)
     }
 }
 

@@ -28,7 +28,7 @@ use tokio_modbus::{Error, ProtocolError, Request, Response, Slave};
 
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS, window_samples};
 use super::cell_bus::{CellBus, CellTable, Put, ReadRequest, registers};
-use super::exceptions::{BusyPauses, Requested};
+use super::exceptions::{BusyPauses, Requested, exception_name};
 use super::exchange::{Exchange, NoData, Query};
 use super::framing::{Echo, FrameKind, Turn, read_bytes, read_write_bytes, write_bytes};
 use super::line_bus::{Language, LineBus};
@@ -130,8 +130,8 @@ fn read_registers<'a>(read: ReadRequest) -> Request<'a> {
 impl Client {
     fn new(filter: &ReplyFilter, kind: FrameKind, unit: u8) -> Self {
         let context = match kind {
-            FrameKind::Rtu => rtu::attach_slave(filter.clone(), Slave(unit)),
             FrameKind::Tcp => tcp::attach_slave(filter.clone(), Slave(unit)),
+            _ => rtu::attach_slave(filter.clone(), Slave(unit)),
         };
         Self { context, unit }
     }
@@ -209,14 +209,18 @@ impl Language for Client {
 fn data(reply: tokio_modbus::Result<Response>) -> Result<Response, NoData> {
     match reply {
         Ok(Ok(response)) => Ok(response),
-        Ok(Err(code)) => Err(NoData::Refused(code.into())),
+        Ok(Err(code)) => Err(refused(code.into())),
         // The client takes the refusal of a diagnosis for one of another function; the filter has compared both.
         Err(Error::Protocol(ProtocolError::FunctionCodeMismatch {
             result: Err(refused), ..
-        })) => Err(NoData::Refused(refused.exception.into())),
+        })) => Err(self::refused(refused.exception.into())),
         Err(Error::Protocol(error)) => Err(NoData::Mismatch(error.to_string())),
         Err(Error::Transport(error)) => Err(NoData::Transport(error)),
     }
+}
+
+const fn refused(code: u8) -> NoData {
+    NoData::Refused { code, name: exception_name(code) }
 }
 
 impl ModbusLink {

@@ -8,14 +8,17 @@ use std::{fmt, io};
 use thiserror::Error;
 use tokio::runtime::Builder;
 
+use super::cell_bus::CellBus;
 use super::exchange::Exchange;
 use super::framing::FrameKind;
+use super::line_bus::{Framed, LineBus};
 use super::link::{DriveLink, LinkError, Result};
 use super::link_error::OVER_TCP;
 use super::modbus::ModbusLink;
 use super::port::{TimedPort, connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
+use super::register_map::RegisterMap;
 use super::reply_filter::Port;
 use super::settings::{LinkSettings, Protocol};
 use super::stream::StreamLink;
@@ -112,17 +115,39 @@ pub fn open_tapped(
     if profile.registers.is_none() && profile.link.protocol == Protocol::Stream {
         return Ok(Box::new(open_stream(target, profile, epoch, tap)?));
     }
-    Ok(dressed(open_modbus(target, profile, epoch, tap)?, profile))
+    let (exchange, unit) = open_exchange(target, &profile.link, epoch, tap)?;
+    Ok(dressed(exchange, unit, profile))
 }
 
-/// Link over Modbus with the register map of the profile.
-pub(super) fn dressed(link: ModbusLink, profile: &DriveProfile) -> Box<dyn DriveLink> {
+/// Opens the bus of a drive whose language is not Modbus.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_cells(
+    target: &Target,
+    profile: &DriveProfile,
+    map: &RegisterMap,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<impl CellBus + use<>> {
+    let (exchange, unit) = open_exchange(target, &profile.link, epoch, tap)?;
+    Ok(LineBus::new(Framed::new(unit), exchange, map))
+}
+
+/// The link of the profile over a line: our own registers, or a map with the bus that its language needs.
+pub(super) fn dressed(exchange: Exchange, unit: u8, profile: &DriveProfile) -> Box<dyn DriveLink> {
+    let is_emulated = profile.link.emulated;
+    let is_modbus = matches!(exchange.kind, FrameKind::Rtu | FrameKind::Tcp);
     match &profile.registers {
-        Some(map) => {
-            let bus = link.into_bus(map, profile.link.emulated);
+        None => Box::new(ModbusLink::new(exchange, unit)),
+        Some(map) if is_modbus => {
+            let bus = ModbusLink::new(exchange, unit).into_bus(map, is_emulated);
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
-        None => Box::new(link),
+        Some(map) => {
+            let bus = LineBus::new(Framed::new(unit), exchange, map).emulated(is_emulated);
+            Box::new(ProfiledLink::new(Arc::clone(map), bus))
+        }
     }
 }
 
@@ -144,6 +169,17 @@ pub(super) fn open_line(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<ModbusLink> {
+    let (exchange, unit) = open_exchange(target, settings, epoch, tap)?;
+    Ok(ModbusLink::new(exchange, unit))
+}
+
+/// Opens the line of a protocol; and the unit on it.
+fn open_exchange(
+    target: &Target,
+    settings: &LinkSettings,
+    epoch: Instant,
+    tap: Option<&TapFile>,
+) -> Result<(Exchange, u8)> {
     let mut name = target.to_string();
     let cannot = |error: io::Error| LinkError::Open(target.to_string(), error.to_string());
     let runtime = Builder::new_current_thread().enable_all().build().map_err(cannot)?;
@@ -155,16 +191,18 @@ pub(super) fn open_line(
                 let builder = serial(path, baud, settings.framing);
                 let port = tokio_serial::SerialStream::open(&builder)
                     .map_err(|error| serial_error(path, &error))?;
-                let timing = LineTiming::serial(settings, baud, true);
-                let tap = tap.map(TapFile::rtu);
-                (Box::new(port), FrameKind::Rtu, unit, timing, tap)
+                let kind = FrameKind::serial(settings.protocol);
+                let timing = LineTiming::serial(settings, baud, kind.needs_gaps());
+                let tap = tap.map(|tap| tap.of(kind));
+                (Box::new(port), kind, unit, timing, tap)
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;
                 let is_rtu = settings.protocol == Protocol::ModbusRtuOverTcp;
+                let serial = FrameKind::serial(settings.protocol);
                 let ends = stream.local_addr().and_then(|ours| Ok((ours, stream.peer_addr()?)));
                 let tap = match tap {
-                    Some(tap) if is_rtu => Some(tap.rtu()),
+                    Some(tap) if is_rtu || serial != FrameKind::Rtu => Some(tap.of(serial)),
                     Some(tap) => {
                         let (ours, peer) = ends.map_err(cannot)?;
                         Some(tap.tcp(ours, peer))
@@ -178,8 +216,10 @@ pub(super) fn open_line(
                 let (kind, timing) = if is_rtu {
                     name += OVER_TCP;
                     (FrameKind::Rtu, LineTiming::converter(settings, settings.baud))
-                } else {
+                } else if serial == FrameKind::Rtu {
                     (FrameKind::Tcp, LineTiming::network(settings))
+                } else {
+                    (serial, LineTiming::network(settings))
                 };
                 (Box::new(stream), kind, unit, timing, tap)
             }
@@ -190,7 +230,7 @@ pub(super) fn open_line(
         None => port,
     };
     let exchange = Exchange::new(name, Waiting::Real(runtime), port, kind, timing, epoch);
-    Ok(ModbusLink::new(exchange, unit.unwrap_or(settings.unit)))
+    Ok((exchange, unit.unwrap_or(settings.unit)))
 }
 
 /// Opens a stream link, whatever the profile's protocol.

@@ -17,12 +17,13 @@ macro_rules! embedded {
     };
 }
 
-const EMBEDDED: [(&str, &str); 13] = [
+const EMBEDDED: [(&str, &str); 15] = [
     embedded!("own"),
     embedded!("own-stream"),
     embedded!("abb-dcs-gateway"),
     embedded!("abb-efb"),
     embedded!("delta-ms300"),
+    embedded!("dynamixel-xm430"),
     embedded!("epulse50-dc"),
     embedded!("leadshine-iem"),
     embedded!("roboteq-dc"),
@@ -30,6 +31,7 @@ const EMBEDDED: [(&str, &str); 13] = [
     embedded!("siemens-v20"),
     embedded!("toshiba-vfs11"),
     embedded!("vacon10"),
+    embedded!("vesc-dc"),
     embedded!("yaskawa-a1000"),
 ];
 

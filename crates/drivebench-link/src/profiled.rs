@@ -614,11 +614,10 @@ impl<B: CellBus> ProfiledLink<B> {
             return Ok(watchdog.default_s());
         };
         if let Some(set_s) = set_s {
-            let has_single = self.map.functions.contains(&6);
-            let function = if has_single { 6 } else { 16 };
             let cells = location.layout.encode(set_s / unit_s).ok_or_else(|| {
                 self.refused(format!("watchdog time {set_s} s does not fit its register"))
             })?;
+            let function = self.map.write_function(cells.len());
             self.bus.write(Put { function, address: location.address, cells: &cells })?;
         }
         let cells = self.bus.read(location.request())?.cells;
@@ -732,7 +731,8 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
         };
         self.is_unsent = true;
         let map = Arc::clone(&self.map);
-        let Some((point, si)) = map.demand(quantity).and_then(|p| Some((p, p.si?))) else {
+        let unit = |point| Some((point, self.readings.demand_si(point)?));
+        let Some((point, si)) = map.demand(quantity).and_then(unit) else {
             let what = match quantity {
                 Quantity::Voltage => "voltage",
                 Quantity::Current => "current",

@@ -12,7 +12,7 @@ use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _, ReadBuf};
 
 use super::framing::{Echo, FrameKind};
 use super::transaction::Reception;
@@ -61,6 +61,25 @@ impl ReplyFilter {
         poll_fn(|cx| match self.inner().discard(cx) {
             Ok(0) => Poll::Pending,
             result => Poll::Ready(result),
+        })
+        .await
+    }
+
+    /// Sends a request and waits for its reply.
+    pub(super) async fn ask(mut self, request: &[u8]) -> io::Result<Vec<u8>> {
+        self.write_all(request).await?;
+        poll_fn(|cx| {
+            let mut inner = self.inner();
+            loop {
+                match inner.read_port(cx) {
+                    Poll::Ready(Ok(_)) if inner.reception.accept()? => {
+                        return Poll::Ready(Ok(inner.reception.reply.clone()));
+                    }
+                    Poll::Ready(Ok(_)) => {}
+                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
+                    Poll::Pending => return Poll::Pending,
+                }
+            }
         })
         .await
     }

@@ -44,12 +44,31 @@ named! {
         /// Frames of RTU over a TCP connection, as transparent serial converters carry them.
         ModbusRtuOverTcp = "modbus-rtu-over-tcp",
         Stream = "stream",
+        Vesc = "vesc",
+        /// Dynamixel protocol 2.0.
+        Dynamixel = "dynamixel-2",
     }
 }
 
 impl Protocol {
-    pub const ALL: [Self; 4] =
-        [Self::ModbusRtu, Self::ModbusTcp, Self::ModbusRtuOverTcp, Self::Stream];
+    pub const ALL: [Self; 6] = [
+        Self::ModbusRtu,
+        Self::ModbusTcp,
+        Self::ModbusRtuOverTcp,
+        Self::Stream,
+        Self::Vesc,
+        Self::Dynamixel,
+    ];
+
+    /// Whether its profile is a register map of Modbus.
+    pub const fn is_modbus(self) -> bool {
+        matches!(self, Self::ModbusRtu | Self::ModbusTcp | Self::ModbusRtuOverTcp)
+    }
+
+    /// Whether its drives can be reached in memory without a line: those of registers, and our own.
+    pub const fn has_memory_link(self) -> bool {
+        self.is_modbus() || matches!(self, Self::Stream)
+    }
 
     /// Whether it needs a network.
     pub const fn is_network(self) -> bool {
@@ -155,6 +174,8 @@ pub(super) fn check_ranges(
     let unit = match link.protocol {
         // 0 and 255: the server itself (MODBUS Messaging on TCP/IP V1.0b, 4.4.2.4).
         Protocol::ModbusTcp => (0.0, 255.0, "0 to 255"),
+        // 254 is every servo of the bus (e-Manual, protocol 2.0, 3.2).
+        Protocol::Dynamixel => (0.0, 252.0, "0 to 252"),
         _ => (1.0, 247.0, "1 to 247"),
     };
     let reply = (0.0, 1e4, "0 to 10000");

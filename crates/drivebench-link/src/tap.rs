@@ -23,7 +23,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use firmware_protocol::modbus::{request_len, response_len};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
-use super::framing::rtu_frame_len;
+use super::framing::{FrameKind, rtu_frame_len};
 use super::port::TimedPort;
 use super::reply_filter::Port;
 use super::waiting::now;
@@ -70,9 +70,14 @@ impl TapFile {
         })
     }
 
-    pub(super) fn rtu(&self) -> Tap {
-        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1.
-        self.tap(147, Splitting::Rtu, None)
+    /// Of a serial line, in pieces as they come where only the language itself separates its frames.
+    pub(super) fn of(&self, kind: FrameKind) -> Tap {
+        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1, the others the next two.
+        match kind {
+            FrameKind::Rtu | FrameKind::Tcp => self.tap(147, Splitting::Rtu, None),
+            FrameKind::Vesc => self.tap(149, Splitting::None, None),
+            FrameKind::Dynamixel => self.tap(150, Splitting::None, None),
+        }
     }
 
     pub(super) fn stream(&self) -> Tap {
@@ -457,7 +462,7 @@ mod tests {
         let file = TapFile::create(&path, UNIX_EPOCH + Duration::from_secs(9)).unwrap();
         let request = [1, 3, 0, 0, 0, 1, 0x84, 0x0A];
         let reply = [1, 3, 2, 0, 7, 0xF9, 0x86];
-        let mut tap = file.rtu();
+        let mut tap = file.of(FrameKind::Rtu);
         tap.sent(&request);
         tap.received(&reply[..3]);
         tap.received(&reply[3..]);

@@ -77,6 +77,21 @@ impl LineTiming {
         seconds((request_bytes + reply_bytes) as f64 * self.char_s)
     }
 
+    /// Between which instants the drive acted on a request: it has all of it, and its reply has not begun. An adapter hands bytes on
+    /// in pieces, so the first byte of a reply came earlier than its piece by the time of those behind it. A line that was quicker
+    /// than its baud rate is none (a pseudo-terminal), and says nothing of the sort.
+    pub(super) fn acted(
+        &self,
+        (request_bytes, reply_bytes): (usize, usize),
+        (asked, answered, complete): (Instant, Instant, Instant),
+    ) -> (Instant, Instant) {
+        let (out, back) = (self.wire(request_bytes, 0), self.wire(0, reply_bytes.saturating_sub(1)));
+        if complete.saturating_duration_since(asked) < out + back {
+            return (asked, answered);
+        }
+        (asked + out, answered.min(complete - back))
+    }
+
     pub(super) const fn network_delay(&self) -> Duration {
         self.network
     }

@@ -428,7 +428,7 @@ impl Reception {
             self.drop_behind_reply(behind);
             return Ok(true);
         }
-        if self.received.len() > LONGEST_WAIT_BYTES && self.kind == FrameKind::Rtu {
+        if self.received.len() > LONGEST_WAIT_BYTES && self.kind != FrameKind::Tcp {
             let excess = self.received.len() - LONGEST_WAIT_BYTES;
             self.received.drain(..excess);
             self.pieces.retain_mut(|(end, _)| {
@@ -614,8 +614,8 @@ mod tests {
             let now = now();
             let mut reception = Reception::new(kind, now);
             let request = |transaction, pdu: &[u8]| match kind {
-                FrameKind::Rtu => rtu(1, pdu),
                 FrameKind::Tcp => tcp(transaction, 1, pdu),
+                _ => rtu(1, pdu),
             };
             let earlier = [(request(5, &[3, 0, 0, 0, 3]), false), (request(6, &read), true)];
             reception.expected.earlier.extend(earlier);

@@ -72,16 +72,25 @@ pub(super) fn modbus_link<D: Device + 'static>(
     settings: &LinkSettings,
     device: &Arc<Mutex<D>>,
 ) -> ModbusLink {
+    ModbusLink::new(exchange(name, kind, settings, device), settings.unit)
+}
+
+/// The exchanges over a line in memory; the thread has to be in virtual time.
+fn exchange<D: Device + 'static>(
+    name: &str,
+    kind: FrameKind,
+    settings: &LinkSettings,
+    device: &Arc<Mutex<D>>,
+) -> Exchange {
     let timing = match (kind, settings.protocol) {
         (FrameKind::Rtu, Protocol::ModbusRtuOverTcp) => {
             LineTiming::converter(settings, settings.baud)
         }
-        (FrameKind::Rtu, _) => LineTiming::serial(settings, settings.baud, true),
         (FrameKind::Tcp, _) => LineTiming::network(settings),
+        (kind, _) => LineTiming::serial(settings, settings.baud, kind.needs_gaps()),
     };
     let port = Box::new(VirtualPort::new(Arc::clone(device)));
-    let exchange = Exchange::new(name.to_owned(), Waiting::Virtual, port, kind, timing, now());
-    ModbusLink::new(exchange, settings.unit)
+    Exchange::new(name.to_owned(), Waiting::Virtual, port, kind, timing, now())
 }
 
 pub(super) trait Device: Send {
@@ -226,7 +235,7 @@ pub struct VirtualLink {
 }
 
 impl VirtualLink {
-    /// Modbus RTU to the far end, with the settings of the profile.
+    /// To the far end as on a serial line, with the settings of the profile.
     pub fn open(
         name: &str,
         profile: &DriveProfile,
@@ -237,8 +246,9 @@ impl VirtualLink {
         let _virtual = InVirtualTime::at(origin);
         let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
         let far = Arc::new(Mutex::new(far));
-        let link = modbus_link(name, FrameKind::Rtu, &profile.link, &far);
-        Self { link: dressed(link, profile), clock, origin }
+        let kind = FrameKind::serial(profile.link.protocol);
+        let line = exchange(name, kind, &profile.link, &far);
+        Self { link: dressed(line, profile.link.unit, profile), clock, origin }
     }
 
     fn within<R>(&mut self, work: impl FnOnce(&mut (dyn DriveLink + 'static)) -> R) -> R {
@@ -332,8 +342,9 @@ pub fn on_a_line<F: FarEnd + 'static, R>(
     paused(|| {
         let time = LineTime(now());
         let far = Arc::new(Mutex::new(Far(time, far)));
-        let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &far);
-        work(dressed(link, profile).as_mut(), time)
+        let kind = FrameKind::serial(profile.link.protocol);
+        let line = exchange("virtual", kind, &profile.link, &far);
+        work(dressed(line, profile.link.unit, profile).as_mut(), time)
     })
 }
 

@@ -44,7 +44,7 @@ impl ForeignDrive {
         }
     }
 
-    fn is_writable(&self, address: u16) -> bool {
+    pub(super) fn is_writable(&self, address: u16) -> bool {
         let points = self.map.set_points.iter().map(|point| point.location);
         let mut points = points.map(|at| at.address..at.address.saturating_add(at.layout.cells()));
         let time = self.map.watchdog.time;

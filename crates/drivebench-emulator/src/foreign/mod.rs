@@ -13,6 +13,7 @@ mod answer;
 mod bus;
 mod enable_sequence;
 mod identity;
+mod packets;
 mod registers;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -22,6 +23,7 @@ use firmware_protocol::{Control, DriveCommand, Fault, State};
 
 pub use self::bus::ForeignBus;
 use self::enable_sequence::{EnableSequence, Turn};
+pub(crate) use self::packets::PacketReceiver;
 use super::config::LineConfig;
 use super::fault::FaultKind;
 use super::truth::MotorTruth;
@@ -68,6 +70,7 @@ impl Guise {
 /// A drive of another make around our motor.
 pub struct ForeignDrive {
     map: Arc<RegisterMap>,
+    unit: u8,
     soft: SoftDrive,
     nameplate: MotorTruth,
     /// Objects of its device identification.
@@ -118,6 +121,7 @@ impl ForeignDrive {
         Self {
             sequence: EnableSequence::new(&guise.map),
             map: Arc::clone(&guise.map),
+            unit: guise.unit,
             soft: SoftDrive::new(config, seed),
             nameplate: config.motor.clone(),
             identification_objects: identity::identification_objects(&guise.map),
@@ -329,6 +333,11 @@ impl ForeignDrive {
                 self.fail(Cause::CommunicationLoss);
             }
         }
+    }
+
+    /// Stopped by its watchdog.
+    fn has_lost_host(&self) -> bool {
+        self.lapsed || self.fault == Some(Cause::CommunicationLoss)
     }
 
     fn fail(&mut self, cause: Cause) {

@@ -2,9 +2,12 @@
 
 use std::f64::consts::{SQRT_2, TAU};
 
-use super::{Cause, FIELD_A, ForeignDrive};
+use super::packets::byte_of;
+use super::{FIELD_A, ForeignDrive};
 use drivebench_link::CellTable;
-use drivebench_link::register_map::{Byte, Condition, Kind, Layout, Order, Quantity, Signal, Unit};
+use drivebench_link::register_map::{
+    Byte, CellSize, Condition, Kind, Layout, Order, Quantity, Signal, Unit,
+};
 use drivebench_model::sample::Hindrance;
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
 
@@ -27,6 +30,17 @@ fn in_unit(speed_rad_s: f64, unit: Unit, si: Option<f64>) -> f64 {
 
 pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
     let mut ordered: Vec<u8> = Vec::new();
+    if layout.cell == CellSize::Byte {
+        ordered.extend(registers.iter().map(|cell| cell.to_le_bytes()[0]));
+        if layout.bytes == Order::LowFirst {
+            ordered.reverse();
+        }
+        // A type of one byte has a register of its own elsewhere.
+        if let [byte] = ordered[..] {
+            ordered = vec![0, byte];
+        }
+        return in_order(layout.kind, &ordered);
+    }
     for word in registers {
         let bytes = match layout.bytes {
             Order::HighFirst => word.to_be_bytes(),
@@ -37,7 +51,11 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
             Order::LowFirst => drop(ordered.splice(0..0, bytes)),
         }
     }
-    match (layout.kind, ordered.as_slice()) {
+    in_order(layout.kind, &ordered)
+}
+
+fn in_order(kind: Kind, bytes: &[u8]) -> f64 {
+    match (kind, bytes) {
         (Kind::U16, [a, b]) => u16::from_be_bytes([*a, *b]).into(),
         (Kind::I16, [a, b]) => i16::from_be_bytes([*a, *b]).into(),
         (Kind::U32, [a, b, c, d]) => u32::from_be_bytes([*a, *b, *c, *d]).into(),
@@ -151,6 +169,9 @@ impl ForeignDrive {
     fn shown(&mut self, signal: &Signal, offset: u16) -> (u16, u16) {
         let layout = &signal.location.layout;
         let pattern = self.pattern(signal);
+        if layout.cell == CellSize::Byte && layout.bits.is_none() {
+            return (byte_of(pattern, *layout, offset).into(), 0xFF);
+        }
         let (shift, width) = match (layout.bits, layout.byte) {
             (Some((first, last)), _) => (u32::from(first), u32::from(last - first) + 1),
             (None, Some(Byte::High)) => (8, 8),
@@ -160,6 +181,10 @@ impl ForeignDrive {
         let whole = u32::MAX >> (32 - width);
         let [b3, b2, b1, b0] = ((pattern & whole) << shift).to_be_bytes();
         let [m3, m2, m1, m0] = (whole << shift).to_be_bytes();
+        if layout.cell == CellSize::Byte {
+            let (value, mask) = ((pattern & whole) << shift, whole << shift);
+            return (byte_of(value, *layout, offset).into(), byte_of(mask, *layout, offset).into());
+        }
         let first_is_high = layout.words == Order::HighFirst;
         let high = layout.cells() == 2 && (offset == 0) == first_is_high;
         let (word, mask) = if high { ([b3, b2], [m3, m2]) } else { ([b1, b0], [m1, m0]) };
@@ -172,6 +197,15 @@ impl ForeignDrive {
     fn pattern(&mut self, signal: &Signal) -> u32 {
         if let Some(forced) = self.forced.get(&signal.name) {
             return *forced;
+        }
+        if let Some((at, unit_s)) = self.map.watchdog.time
+            && at.table == signal.location.table
+            && at.address == signal.location.address
+        {
+            // All ones: it has expired.
+            let expired = 2.0_f64.powi(i32::from(at.layout.width())) - 1.0;
+            let raw = if self.has_lost_host() { expired } else { self.watchdog_s / unit_s };
+            return bits(signal.location.layout.kind, raw);
         }
         let status = self.status(&signal.name);
         let natural = match signal.keys.quantity {
@@ -186,7 +220,7 @@ impl ForeignDrive {
                 let value = self.truth(signal);
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
                 match (signal.keys.quantity, signal.wraps_at) {
-                    (Quantity::Clock, _) => {
+                    (Quantity::Clock, None) => {
                         count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width())))
                     }
                     (_, Some(span)) => count(raw, span),
@@ -213,7 +247,7 @@ impl ForeignDrive {
         {
             word = with_condition(word, running, true);
         }
-        if self.fault == Some(Cause::CommunicationLoss)
+        if self.has_lost_host()
             && let Some(lost) = state("comm_loss")
         {
             word = (word & !lost.mask) | lost.pattern;
@@ -259,6 +293,7 @@ impl ForeignDrive {
         let si = signal.channel.map(|(_, si)| si);
         match signal.keys.quantity {
             Quantity::Current => sensed.current_a,
+            Quantity::DrivingCurrent => sensed.current_a * sensed.voltage_cmd_v.signum(),
             Quantity::Voltage => sensed.voltage_v,
             Quantity::BusVoltage => sensed.bus_v,
             Quantity::LineVoltage => sensed.bus_v / SQRT_2,

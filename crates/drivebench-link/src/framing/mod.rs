@@ -1,6 +1,8 @@
 //! Framings: which bytes on the line answer the one outstanding request, and which do not. One file each; this one dispatches.
 
+mod dynamixel;
 mod modbus;
+mod vesc;
 
 use std::collections::VecDeque;
 
@@ -8,8 +10,11 @@ use firmware_protocol::modbus::expected_response_len;
 
 use super::cell_bus::{Put, ReadRequest};
 use super::exceptions::Requested;
+use super::exchange::NoData;
+use super::settings::Protocol;
 use super::unexpected::Unexpected;
 
+pub(super) use self::vesc::width as fields_width;
 pub(super) use modbus::{
     begins_with_rtu, read_bytes, read_write_bytes, rtu_frame_len, write_bytes,
 };
@@ -19,21 +24,61 @@ pub(super) use modbus::{
 pub(super) enum FrameKind {
     Rtu,
     Tcp,
+    Vesc,
+    Dynamixel,
 }
 
 impl FrameKind {
+    /// On a serial line, or where a network carries one.
+    pub(super) const fn serial(protocol: Protocol) -> Self {
+        match protocol {
+            Protocol::Vesc => Self::Vesc,
+            Protocol::Dynamixel => Self::Dynamixel,
+            _ => Self::Rtu,
+        }
+    }
+
     /// Whether every reply carries the number of its request.
     pub(super) const fn is_numbered(self) -> bool {
-        matches!(self, Self::Tcp)
+        matches!(self, Self::Tcp | Self::Vesc)
+    }
+
+    /// Frames whose ends only silence separates.
+    pub(super) const fn needs_gaps(self) -> bool {
+        matches!(self, Self::Rtu)
+    }
+
+    /// The bytes of a turn, for the languages that are ours; `number` is another one for each.
+    pub(super) fn request(self, unit: u8, turn: Turn<'_>, number: u32) -> Vec<u8> {
+        match self {
+            Self::Vesc => vesc::request(turn, number),
+            Self::Dynamixel => dynamixel::request(unit, turn),
+            // The client of tokio-modbus makes these.
+            Self::Rtu | Self::Tcp => Vec::new(),
+        }
+    }
+
+    /// The cells that a reply carries.
+    pub(super) fn cells(self, reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
+        match self {
+            Self::Vesc => vesc::cells(reply, turn),
+            Self::Dynamixel => dynamixel::cells(reply, turn),
+            Self::Rtu | Self::Tcp => Ok(Vec::new()),
+        }
     }
 
     /// Bytes on the line of a turn, and of its reply.
     pub(super) fn bytes(self, turn: Turn<'_>) -> (usize, usize) {
         match self {
             Self::Rtu | Self::Tcp => modbus::bytes(turn),
+            Self::Vesc => vesc::bytes(turn),
+            Self::Dynamixel => dynamixel::bytes(turn),
         }
     }
 }
+
+/// Function by which the proof of synchronisation knows a write of a language that is none of Modbus: 2 is no function that is used.
+pub(super) const PROOF_WRITE: u8 = 2;
 
 /// What one request does: a write, a read, or both at once.
 #[derive(Clone, Copy, Debug)]
@@ -130,6 +175,8 @@ impl Code {
     pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
         match kind {
             FrameKind::Rtu | FrameKind::Tcp => modbus::code_of(kind, frame),
+            FrameKind::Vesc => vesc::code_of(frame),
+            FrameKind::Dynamixel => dynamixel::code_of(frame),
         }
     }
 
@@ -185,5 +232,7 @@ pub(super) fn search(
     match kind {
         FrameKind::Rtu => Ok(modbus::search_rtu(expected, received)),
         FrameKind::Tcp => modbus::search_tcp(expected, received),
+        FrameKind::Vesc => Ok(vesc::search(expected, received)),
+        FrameKind::Dynamixel => Ok(dynamixel::search(expected, received)),
     }
 }

@@ -57,7 +57,7 @@ pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
 pub(super) fn code_of(kind: FrameKind, frame: &[u8]) -> Option<Code> {
     let (before, behind) = match kind {
         FrameKind::Tcp => (tcp::HEADER, 0),
-        FrameKind::Rtu => (1, 2),
+        _ => (1, 2),
     };
     Some(Code { function: *frame.get(before)?, length: frame.len().checked_sub(before + behind)? })
 }

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::cell_bus::{CellTable, ReadRequest};
+use crate::cell_bus::{CellBus, CellTable, ReadRequest};
 use crate::link::{LinkError, Result};
 use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
@@ -18,8 +18,47 @@ use drivebench_model::text::number;
 
 const RUNNING: &str = "running";
 
+/// What the cells of a profile are read from.
+pub(super) trait Source {
+    fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>>;
+
+    /// Values that are proven to be current, one for each request.
+    fn read_all(&mut self, requests: &[ReadRequest]) -> Vec<Result<Vec<u16>>>;
+
+    fn object(&mut self, object: u8) -> Result<Option<String>>;
+}
+
+impl Source for RawClient {
+    fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
+        Self::read(self, request)
+    }
+
+    fn read_all(&mut self, requests: &[ReadRequest]) -> Vec<Result<Vec<u16>>> {
+        let batch = read_batch(self, requests, 1, &AtomicBool::new(false));
+        batch.reads.into_iter().map(|read| read.values).collect()
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>> {
+        Self::object(self, object)
+    }
+}
+
+impl Source for &mut dyn CellBus {
+    fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
+        Ok(CellBus::read(*self, request)?.cells)
+    }
+
+    fn read_all(&mut self, requests: &[ReadRequest]) -> Vec<Result<Vec<u16>>> {
+        requests.iter().map(|request| Source::read(self, *request)).collect()
+    }
+
+    fn object(&mut self, object: u8) -> Result<Option<String>> {
+        CellBus::object(*self, object)
+    }
+}
+
 pub(super) fn probe(
-    client: &mut RawClient,
+    client: &mut dyn Source,
     profile: &DriveProfile,
     map: &RegisterMap,
     depth: ProbeDepth,
@@ -45,7 +84,7 @@ pub(super) fn probe(
         name == RUNNING && holds(&reader.windows, condition) == Some(true)
     });
     // What a running drive reads cannot be judged, so no other way of reading it is better.
-    let advises = doubtful && !runs;
+    let advises = doubtful && !runs && map.protocol.is_modbus();
     if advises && depth == ProbeDepth::Whole {
         reader.read_beside()?;
     }
@@ -87,7 +126,7 @@ fn address_form(map: &RegisterMap) -> String {
     let (other, code) = match location.table {
         CellTable::Holding => (CellTable::Input, "04"),
         CellTable::Input => (CellTable::Holding, "03"),
-        CellTable::Bytes | CellTable::Fields(_) | CellTable::Reply(_) => return String::new(),
+        _ => return String::new(),
     };
     let first_line = format!(
         "the drive has none of these registers (exception 0x02), of which the first is {} {} on the wire",
@@ -172,6 +211,7 @@ const fn table_name(table: CellTable) -> &'static str {
         CellTable::Bytes => "byte",
         CellTable::Fields(_) => "field",
         CellTable::Reply(_) => "reply",
+        CellTable::Computed => "computed",
     }
 }
 
@@ -183,7 +223,7 @@ struct Refusal {
 }
 
 struct Reader<'a> {
-    client: &'a mut RawClient,
+    client: &'a mut dyn Source,
     map: &'a RegisterMap,
     windows: Vec<Window>,
     /// Why a signal has no registers.
@@ -214,7 +254,7 @@ impl Reader<'_> {
     fn read_mapped(&mut self) -> Result<()> {
         let blocks = self.blocks();
         let answers = self.ask(&blocks.iter().map(|block| block.read).collect::<Vec<_>>())?;
-        let mut alone = Vec::new();
+        let mut alone: Vec<usize> = Vec::new();
         for (block, answer) in blocks.iter().zip(answers) {
             match answer {
                 Ok(registers) => self.hand_out(block, &registers),
@@ -275,8 +315,7 @@ impl Reader<'_> {
 
     /// Values that are proven to be current, or why there are none; only a port that is gone ends everything.
     fn ask(&mut self, requests: &[ReadRequest]) -> Result<Vec<Result<Vec<u16>, Refusal>>> {
-        let batch = read_batch(self.client, requests, 1, &AtomicBool::new(false));
-        let answers = batch.reads.into_iter().map(|read| match read.values {
+        let answers = self.client.read_all(requests).into_iter().map(|values| match values {
             Ok(values) => Ok(Ok(values)),
             // The unit is busy, or a gateway does not reach it: nothing is known of its registers.
             Err(

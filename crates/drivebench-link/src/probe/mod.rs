@@ -13,6 +13,7 @@ mod report;
 
 pub use report::{ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState};
 
+use super::cell_bus::CellBus;
 use super::link::Result;
 use super::modbus::RawClient;
 use super::profile::DriveProfile;
@@ -45,6 +46,17 @@ pub fn probe(
     }
     report.counters = Some(client.counters());
     Ok(report)
+}
+
+/// Looks at a drive of another language than Modbus with its profile.
+///
+/// # Errors
+/// As [`probe`].
+pub fn probe_cells(mut bus: &mut dyn CellBus, profile: &DriveProfile) -> Result<ProbeReport> {
+    match &profile.registers {
+        Some(map) => mapped::probe(&mut bus, profile, map, ProbeDepth::Readings),
+        None => Ok(ProbeReport::of(profile)),
+    }
 }
 
 /// Looks at our own drive over its stream.

@@ -130,11 +130,16 @@ impl Points {
     }
 
     /// The value that is being held for a quantity that the bench commands, SI; `None` where the drive may hold another.
-    pub(super) fn held(&self, map: &RegisterMap, quantity: Quantity) -> Option<f64> {
+    pub(super) fn held(
+        &self,
+        map: &RegisterMap,
+        readings: &Readings,
+        quantity: Quantity,
+    ) -> Option<f64> {
         let (at, point) = find(map, &map.demand(quantity)?.name)?;
         let is_held = |sent: &&Sent| !sent.in_doubt && sent.mismatches == 0;
         let sent = self.sent.get(at).filter(is_held)?;
-        Some(sent.value? * point.si?)
+        Some(sent.value? * readings.demand_si(point)?)
     }
 
     /// Holds a reference: within its limits, no faster than its slew.

@@ -7,8 +7,9 @@ use crate::budget::joint_block;
 use crate::cell_bus::{CellBus, Span};
 use crate::exceptions::Requested;
 use crate::link::{LinkError, Result};
-use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, plan_reads};
+use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, SetPoint, plan_reads};
 use crate::timeline::{ClockMap, DriveClock};
+use drivebench_model::sample::Channel;
 
 /// One signal as it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -193,7 +194,21 @@ impl Readings {
             self.rejected += u64::from(value.is_none());
             self.last[*index] = Reading { value, pattern, span: read.span };
         }
+        self.compute(&block.signals, read.span);
         Ok(read.span)
+    }
+
+    /// Computes what depends on signals that were just read.
+    fn compute(&mut self, read: &[usize], span: Span) {
+        for (index, signal) in self.map.signals.iter().enumerate() {
+            let Some(formula) = &signal.formula else {
+                continue;
+            };
+            if formula.of.iter().any(|input| read.contains(input)) {
+                let value = formula.value(|input| self.last[input].value);
+                self.last[index] = Reading { value, pattern: None, span };
+            }
+        }
     }
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {
@@ -230,6 +245,17 @@ impl Readings {
         Some(self.get(&signal.name)?.value? * si)
     }
 
+    /// What one unit of a set-point is in SI; of a duty by the supply as it was last read.
+    pub(super) fn demand_si(&self, point: &SetPoint) -> Option<f64> {
+        let percent_v = || {
+            let bus = self.map.of_channel(Channel::Bus)?;
+            let (_, si) = bus.channel?;
+            Some(0.01 * si * self.get(&bus.name)?.value?)
+        };
+        let is_duty = point.keys.quantity == Quantity::Duty;
+        point.si.or_else(|| percent_v().filter(|volts| is_duty && *volts > 0.0))
+    }
+
     /// Product of the signals that a value is scaled with; `None` while one is not known.
     pub(super) fn factor(&self, scale_by: &[String]) -> Option<f64> {
         scale_by.iter().map(|name| self.get(name).and_then(|reading| reading.value)).product()
@@ -259,7 +285,7 @@ pub(super) fn in_profile(
 pub(super) struct Clock {
     signal: usize,
     /// How far its counts are shifted up.
-    shift: u16,
+    shift: u32,
     /// One count of the shifted counter, s, and one of its own.
     count_s: f64,
     resolution_s: f64,
@@ -274,11 +300,13 @@ impl Clock {
         })?;
         let resolution_s = map.signals[signal].clock_count_s()?;
         // The counter is followed as one of so many counts to the turn, whatever its width; a narrower one is shifted up to it.
-        let shift = 32 - 16 * map.signals[signal].location.layout.cells();
+        let counter = &map.signals[signal];
+        let bits = counter.keys.wraps_at.map(|counts| counts.ilog2());
+        let shift = 32 - bits.unwrap_or(counter.location.layout.width().into());
         Some(Self {
             signal,
             shift,
-            count_s: resolution_s * 0.5_f64.powi(i32::from(shift)),
+            count_s: resolution_s * 0.5_f64.powi(shift.cast_signed()),
             resolution_s,
             counter: DriveClock::default(),
             map: ClockMap::default(),

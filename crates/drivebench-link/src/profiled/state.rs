@@ -166,7 +166,7 @@ impl<B: CellBus> ProfiledLink<B> {
                 }
             }
         }
-        if let Some(volts) = self.points.held(&self.map, Quantity::Voltage) {
+        if let Some(volts) = self.points.held(&self.map, &self.readings, Quantity::Voltage) {
             sample.set(Channel::VoltageCmd, volts);
         }
         sample

@@ -377,6 +377,12 @@ impl Picture<'_> {
     /// One signal read with `change`, the signals that it is scaled with read with `of_factors`.
     fn read_as(&self, index: usize, change: Change, of_factors: Change, depth: usize) -> Reading {
         let signal = &self.map.signals[index];
+        if let Some(formula) = &signal.formula {
+            let reading = |index| {
+                self.read_as(index, Change::NONE, of_factors, depth.checked_sub(1)?).value()
+            };
+            return formula.value(reading).map_or(Reading::Unread, Reading::Value);
+        }
         let Some(registers) = self.windows.get(index).and_then(|w| w.at(change.shift)) else {
             return Reading::Unread;
         };

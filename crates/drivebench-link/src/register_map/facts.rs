@@ -7,7 +7,9 @@ use super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 use super::terms::{Converter, Device, Quantity, Rates, Resync, Unit};
 use super::value::Layout;
 use crate::cell_bus::{CellTable, Put, ReadRequest};
-use crate::settings::Trust;
+use crate::framing::PROOF_WRITE;
+use crate::settings::{Protocol, Trust};
+use drivebench_model::plant::effect::Tree;
 use drivebench_model::sample::Channel;
 use drivebench_model::units::rad_s_from_rpm;
 
@@ -64,6 +66,24 @@ pub struct Signal {
     pub channel: Option<(Channel, f64)>,
     /// Raw counts after which a position begins again; `None`: it never does.
     pub wraps_at: Option<f64>,
+    /// How it is computed from other signals; `None`: it is read.
+    pub formula: Option<Formula>,
+}
+
+/// A value that is computed from those of other signals.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Formula {
+    pub(super) tree: Tree,
+    /// Those signals, by position in the map; the names of the tree count them.
+    pub of: Vec<usize>,
+}
+
+impl Formula {
+    /// `None` where one of them has no value, or this has none for them.
+    pub fn value(&self, reading: impl Fn(usize) -> Option<f64>) -> Option<f64> {
+        let values: Option<Vec<f64>> = self.of.iter().map(|index| reading(*index)).collect();
+        Some(self.tree.value(&values?)).filter(|value| value.is_finite())
+    }
 }
 
 impl Signal {
@@ -278,6 +298,8 @@ impl Supervision {
 pub struct RegisterMap {
     pub device: Device,
     pub converter: Option<Converter>,
+    /// Of the profile; a bench may carry the registers of Modbus over another of its kinds.
+    pub protocol: Protocol,
     pub functions: Vec<u8>,
     pub max_read: u16,
     pub max_write: u16,
@@ -306,6 +328,15 @@ pub struct RegisterMap {
 }
 
 impl RegisterMap {
+    /// The function that writes so many cells.
+    pub fn write_function(&self, cells: usize) -> u8 {
+        match self.protocol {
+            Protocol::Dynamixel => PROOF_WRITE,
+            _ if cells == 1 && self.functions.contains(&6) => 6,
+            _ => 16,
+        }
+    }
+
     /// States that a profile may tell from status bits.
     pub const STATES: [&'static str; 7] =
         ["fault", "ready", "running", "comm_loss", "local", "sto", "remote"];
@@ -334,10 +365,16 @@ impl RegisterMap {
         self.set_points.iter().find(|point| point.name == name)
     }
 
-    /// The set-point that takes a demand of this quantity in SI.
+    /// The set-point that takes a demand of this quantity in SI; of a voltage also a duty, where the supply is read.
     pub fn demand(&self, quantity: Quantity) -> Option<&SetPoint> {
         let is_it = |point: &&SetPoint| point.keys.quantity == quantity && point.si.is_some();
-        self.set_points.iter().find(is_it)
+        let duty = |point: &&SetPoint| {
+            quantity == Quantity::Voltage
+                && point.keys.quantity == Quantity::Duty
+                && self.of_channel(Channel::Bus).is_some()
+        };
+        let mut points = self.set_points.iter();
+        points.find(is_it).or_else(|| self.set_points.iter().find(duty))
     }
 
     pub fn state(&self, name: &str) -> Option<&Condition> {

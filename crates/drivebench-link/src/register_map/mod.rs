@@ -23,8 +23,8 @@ mod value;
 pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(crate) use candidates::{confirms, expected_at_rest};
 pub use facts::{
-    Commands, Condition, IdentityCheck, IdentityTest, Location, Numbers, Reading, RegisterMap,
-    SetPoint, Signal, Step, Supervision, Write,
+    Commands, Condition, Formula, IdentityCheck, IdentityTest, Location, Numbers, Reading,
+    RegisterMap, SetPoint, Signal, Step, Supervision, Write,
 };
 pub use plan::{ReadBlock, plan_reads};
 pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};

@@ -3,6 +3,7 @@
 use super::facts::RegisterMap;
 use super::terms::PollRate;
 use crate::cell_bus::{CellTable, ReadRequest};
+use crate::framing::fields_width;
 
 /// One read request and the signals (by position in the map) that it serves.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -15,11 +16,21 @@ pub struct ReadBlock {
 pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
     let mut wanted: Vec<(ReadRequest, usize)> = (0..map.signals.len())
         .filter(|index| map.signals[*index].keys.poll == poll)
+        .filter(|index| map.signals[*index].formula.is_none())
         .map(|index| (map.signals[index].location.request(), index))
         .collect();
-    wanted.sort_by_key(|(read, _)| (read.table == CellTable::Input, read.address));
+    wanted.sort_by_key(|(read, _)| (read.table, read.address));
     let mut blocks: Vec<ReadBlock> = Vec::new();
     for (mut read, index) in wanted {
+        if let (CellTable::Fields(bit), Some(block)) = (read.table, blocks.last_mut())
+            && let CellTable::Fields(mask) = block.read.table
+        {
+            let mask = mask | bit;
+            let table = CellTable::Fields(mask);
+            block.read = ReadRequest { table, address: 0, count: fields_width(mask) };
+            block.signals.push(index);
+            continue;
+        }
         let (address, end) = (u32::from(read.address), read.end());
         let lies_within = |(first, count): &&(u16, u16)| {
             let first = u32::from(*first);
@@ -34,6 +45,8 @@ pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
             let joins = match exact {
                 // A block of exact length is read as it is.
                 Some(exact) => *exact == whole,
+                // The whole reply to a command comes in any case.
+                None if matches!(read.table, CellTable::Reply(_)) => true,
                 None => {
                     !map.exact_reads.contains(&whole)
                         && address <= block.read.end() + u32::from(map.max_hole)

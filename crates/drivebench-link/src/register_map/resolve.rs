@@ -5,24 +5,31 @@
 //! ```
 
 mod commands;
+mod place;
 
+use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::ops::Range;
 
 use toml::Spanned;
 
+use self::place::{Places, Requests};
 use super::address::{Base, Numbering};
 use super::facts::{
-    Commands, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision, channel_of,
-    demand_si,
+    Commands, Formula, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision,
+    channel_of, demand_si,
 };
-use super::schema::{LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime};
-use super::terms::{DeviceKind, PollRate, Quantity, Resync, Unit};
+use super::schema::{
+    DerivedKeys, LinkKeys, ProfileFile, SetPointKeys, SignalKeys, WatchdogKeys, WatchdogTime,
+    WholeDerived,
+};
+use super::terms::{DeviceKind, PollRate, Quantity, Unit};
 use super::value::{CellSize, Kind, Layout};
 use crate::cell_bus::CellTable;
 use crate::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
 use drivebench_model::config_text::{self, ConfigError, help_for_unknown};
+use drivebench_model::plant::effect::{Mistake, read_expression};
 use drivebench_model::sample::Channel;
 use drivebench_model::units::rad_s_from_rpm;
 
@@ -101,24 +108,28 @@ impl Reader<'_> {
         mut self,
         file: &ProfileFile,
     ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
-        self.check_link(file)?;
-        let signals = file
+        let requests = self.check_link(file)?;
+        let mut signals = file
             .signals
             .iter()
             .map(|(name, keys)| self.signal(name, keys))
-            .collect::<Result<_, _>>()?;
+            .collect::<Result<Vec<_>, _>>()?;
+        let derived = file.derived.iter().map(|(name, keys)| self.derived(name, keys, &signals));
+        let derived = derived.collect::<Result<Vec<_>, _>>()?;
+        signals.extend(derived);
         let points = file.setpoints.iter().map(|(name, keys)| self.set_point(name, keys));
         let set_points = points.collect::<Result<_, _>>()?;
         let link = self.link;
         let mut map = RegisterMap {
             device: file.device.clone(),
             converter: file.converter.as_ref().map(|c| *c.get_ref()),
+            protocol: link.protocol,
             functions: link.functions.clone(),
-            max_read: link.max_read,
-            max_write: link.max_write,
+            max_read: requests.max_read,
+            max_write: requests.max_write,
             max_hole: link.max_hole,
             exact_reads: Vec::new(),
-            resync: link.resync,
+            resync: requests.resync,
             nvm_cycles: link.nvm_cycles,
             identity: Vec::new(),
             signals,
@@ -186,7 +197,7 @@ impl Reader<'_> {
         Ok((map, settings, limits))
     }
 
-    fn check_link(&mut self, file: &ProfileFile) -> Result<(), ConfigError> {
+    fn check_link(&mut self, file: &ProfileFile) -> Result<Requests, ConfigError> {
         let schema = *file.schema.get_ref();
         self.part(file.schema.span(), "").require(
             schema == 1,
@@ -194,50 +205,17 @@ impl Reader<'_> {
             format_args!("schema {schema} is not allowed (expected 1)"),
         )?;
         let link = self.link;
-        let base = link.address_base.base();
         let part = self.part(file.link.span(), "");
-        let base = base.ok_or_else(|| {
-            part.wrong(
-                "address_base",
-                "this address_base is not allowed (expected 0, 1 or \"4x1\")",
-            )
-        })?;
-        for function in &link.functions {
-            let holds = FUNCTIONS.contains(function);
-            let message = format_args!("function code {function} is not one of Modbus");
-            part.require(holds, "functions", message)?;
-        }
-        let holds = link.functions.contains(&3) || link.functions.contains(&4);
-        let message = "neither 3 nor 4 is there: nothing can be read";
-        part.require(holds, "functions", message)?;
-        for (key, value, most) in
-            [("max_read", link.max_read, 125), ("max_write", link.max_write, 123)]
-        {
-            let holds = (1..=most).contains(&value);
-            let message = format_args!("{key} {value} is not allowed (expected 1 to {most})");
-            part.require(holds, key, message)?;
-        }
-        let (can, message) = match link.resync {
-            Resync::Fc08 => {
-                (link.functions.contains(&8), "resync \"fc08\" needs function code 8 in functions")
-            }
-            Resync::Tid => (
-                link.protocol == Protocol::ModbusTcp,
-                "resync \"tid\" needs protocol \"modbus-tcp\"",
-            ),
-            Resync::Length => (
-                link.max_read >= 2,
-                "resync \"length\" needs max_read 2 or more: reads of one length are all alike",
-            ),
-            Resync::None => (true, ""),
-        };
-        part.require(can, "resync", message)?;
         let holds = link.protocol != Protocol::Stream;
         let message = "a register map is not spoken over \"stream\" (expected modbus-rtu, modbus-tcp or modbus-rtu-over-tcp)";
         part.require(holds, "protocol", message)?;
-        let formula = link.address_formula;
-        self.numbering = Numbering { base, formula };
-        Ok(())
+        let requests = part.keyed(Requests::of(link))?;
+        self.numbering = Numbering { base: requests.base, formula: link.address_formula };
+        Ok(requests)
+    }
+
+    const fn places(&self) -> Places<'_> {
+        Places { link: self.link, numbering: self.numbering }
     }
 
     fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Result<Signal, ConfigError> {
@@ -245,23 +223,6 @@ impl Reader<'_> {
         let part = self.part(span.clone(), format!("signal {name}: "));
         part.of("quantity", keys.quantity.read())?;
         part.keyed(keys.quantity.given_in(keys.unit))?;
-        let numbering = self.numbering;
-        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
-        let (address, is_input) = part.of("address", found)?;
-        let function = keys.function.unwrap_or(match is_input {
-            Some(true) => 4,
-            None if !self.link.functions.contains(&3) => 4,
-            _ => 3,
-        });
-        let table = match function {
-            3 => CellTable::Holding,
-            4 => CellTable::Input,
-            _ => {
-                let message = format!("function {function} is not allowed (expected 3 or 4)");
-                return Err(part.wrong("function", message));
-            }
-        };
-        part.of("function", self.knows(function))?;
         let bits = keys.bits.as_deref().map(|text| {
             let width = if keys.byte.is_some() { 8 } else { 8 * keys.kind.bytes() };
             bit_range(text, width).ok_or_else(|| {
@@ -284,11 +245,12 @@ impl Reader<'_> {
         let layout = Layout {
             kind: keys.kind,
             cell: CellSize::Register,
-            words: keys.word_order,
-            bytes: keys.byte_order,
+            words: self.places().order(keys.word_order),
+            bytes: self.places().order(keys.byte_order),
             byte: keys.byte,
             bits,
         };
+        let location = part.keyed(self.places().signal(keys, layout))?;
         if keys.quantity == Quantity::Clock {
             part.keyed(clock_fits(keys, layout))?;
         }
@@ -297,11 +259,69 @@ impl Reader<'_> {
         Ok(Signal {
             name: name.to_owned(),
             line: self.line(&span),
-            location: Location { table, address, layout },
+            location,
             numbers: part.of("scale", numbers)?,
             channel,
             wraps_at,
+            formula: None,
             keys: keys.clone(),
+        })
+    }
+
+    /// A channel that is computed from signals, in SI.
+    fn derived(
+        &self,
+        name: &str,
+        spanned: &Spanned<DerivedKeys>,
+        signals: &[Signal],
+    ) -> Result<Signal, ConfigError> {
+        let whole = match spanned.get_ref() {
+            DerivedKeys::Whole(whole) => whole.clone(),
+            DerivedKeys::Expression(value) => {
+                let (value, side) = (value.clone(), None);
+                WholeDerived { value, origin: None, side, filter_ms: None }
+            }
+        };
+        let part = self.part(spanned.span(), format!("derived {name}: "));
+        let (quantity, unit) = match Channel::from_key(name) {
+            Some(Channel::Voltage) => (Quantity::Voltage, Unit::V),
+            Some(Channel::Current) => (Quantity::Current, Unit::A),
+            Some(Channel::Speed) => (Quantity::ShaftSpeed, Unit::RadS),
+            Some(Channel::Angle) => (Quantity::Angle, Unit::Rad),
+            Some(Channel::Torque) => (Quantity::Torque, Unit::NewtonMetre),
+            Some(Channel::Bus) => (Quantity::BusVoltage, Unit::V),
+            _ => {
+                let message = "it cannot be derived (expected voltage_v, current_a, speed_rad_s, angle_rad, torque_n_m or bus_v)";
+                return Err(part.wrong("", message));
+            }
+        };
+        let used = RefCell::new(Vec::new());
+        let names = |name: &str| {
+            let names = signals.iter().map(|signal| signal.name.as_str());
+            let known = signals.iter().position(|signal| signal.name == name);
+            let index = known.ok_or_else(|| help_for_unknown(name, names))?;
+            let mut used = used.borrow_mut();
+            Ok(used.iter().position(|known| *known == index).unwrap_or_else(|| {
+                used.push(index);
+                used.len() - 1
+            }))
+        };
+        let tree = read_expression(&whole.value, &names);
+        let wrong = |mistake: Mistake| format!("{}; {}", mistake.message, mistake.help);
+        let tree = part.of("value", tree.map_err(wrong))?;
+        Ok(Signal {
+            name: name.to_owned(),
+            line: self.line(&spanned.span()),
+            keys: SignalKeys::derived(quantity, unit, &whole),
+            location: Location {
+                table: CellTable::Computed,
+                address: 0,
+                layout: Layout::plain(Kind::F32),
+            },
+            numbers: part.of("value", numbers(None, None, &[], unit))?,
+            channel: channel_of(quantity, unit, PerTurn::default()),
+            wraps_at: None,
+            formula: Some(Formula { tree, of: used.into_inner() }),
         })
     }
 
@@ -345,21 +365,11 @@ impl Reader<'_> {
         part.keyed(keys.quantity.given_in(keys.unit))?;
         let per_turn =
             part.keyed(self.per_turn(keys.unit, keys.pole_pairs, keys.counts_per_turn))?;
-        let numbering = self.numbering;
-        let found = numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
-        let (address, is_input) = part.of("address", found)?;
-        let is_holding = is_input != Some(true);
-        part.require(is_holding, "address", "an input register cannot be written")?;
-        let registers = Layout::plain(keys.kind).cells();
-        let single = registers == 1 && self.link.functions.contains(&6);
-        let function = keys.function.unwrap_or(if single { 6 } else { 16 });
-        let holds = function == 16 || (function == 6 && registers == 1);
-        let message =
-            format_args!("function {function} is not allowed (expected 6 for one register, or 16)");
-        part.require(holds, "function", message)?;
-        part.of("function", self.knows(function))?;
-        let layout =
-            Layout { words: keys.word_order, bytes: keys.byte_order, ..Layout::plain(keys.kind) };
+        let places = self.places();
+        let orders = (places.order(keys.word_order), places.order(keys.byte_order));
+        let layout = Layout { words: orders.0, bytes: orders.1, ..Layout::plain(keys.kind) };
+        let (location, function) = part.keyed(places.set_point(keys, layout))?;
+        let layout = location.layout;
         let numbers = numbers(keys.scale, keys.offset, &keys.scale_by, keys.unit);
         let numbers = part.of("scale", numbers)?;
         if let Some(limits) = keys.limits {
@@ -385,7 +395,7 @@ impl Reader<'_> {
         Ok(SetPoint {
             name: name.to_owned(),
             line: self.line(&span),
-            location: Location { table: CellTable::Holding, address, layout },
+            location,
             function,
             si: demand_si(keys.quantity, keys.unit, per_turn),
             numbers,
@@ -405,8 +415,10 @@ impl Reader<'_> {
             let holds = unit_ms.is_finite() && unit_ms > 0.0;
             let message = format_args!("unit_ms {unit_ms} is not allowed (expected more than 0)");
             part.require(holds, "time", message)?;
-            let location =
-                Location { table: CellTable::Holding, address, layout: Layout::plain(Kind::U16) };
+            let order = self.places().order(None);
+            let layout = Layout::plain(time.kind.unwrap_or(Kind::U16));
+            let layout = Layout { words: order, bytes: order, ..layout };
+            let location = self.places().time(address, layout);
             if let Some(set_ms) = keys.set_ms {
                 part.of("set_ms", time_fits(set_ms, time, location.layout))?;
             }
@@ -512,7 +524,9 @@ impl Reader<'_> {
             part.require(registers <= most, "type", message)
         };
         for Signal { name, numbers, location, .. } in &map.signals {
-            let span = file.signals[name].span();
+            let Some(span) = file.signals.get(name).map(Spanned::span) else {
+                continue;
+            };
             let most = ("max_read", map.max_read);
             fits("signal", name, numbers, location, most, span)?;
         }
@@ -601,16 +615,6 @@ impl Reader<'_> {
                 map.rates.fast_hz
             ),
         )
-    }
-
-    fn knows(&self, function: u8) -> Result<(), String> {
-        let known = &self.link.functions;
-        if known.contains(&function) {
-            return Ok(());
-        }
-        Err(format!(
-            "the drive does not support function code {function} (link.functions has {known:?})"
-        ))
     }
 
     fn part(&self, span: Range<usize>, whose: impl Into<String>) -> Part<'_> {
@@ -703,7 +707,8 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
         }
     }
     let count_s = keys.scale.unwrap_or(1.0) * keys.unit.seconds().unwrap_or(1.0);
-    let turn_s = count_s * 2.0_f64.powi(i32::from(layout.width()));
+    let counts = keys.wraps_at.map_or(2.0_f64.powi(i32::from(layout.width())), f64::from);
+    let turn_s = count_s * counts;
     // Shorter than two readings with a lost reply between them, s: the number of wraps would be ambiguous.
     let shortest_s = 2.0;
     if turn_s.is_nan() || turn_s < shortest_s {
@@ -724,10 +729,16 @@ fn wraps_at(keys: &SignalKeys, layout: Layout) -> Result<Option<f64>, String> {
     let whole = keys.kind != Kind::F32;
     match keys.wraps_at {
         None => Ok((is_position && whole).then(|| 2.0_f64.powi(i32::from(layout.width())))),
-        Some(_) if !is_position => {
-            Err("wraps_at is for a position (expected quantity \"angle\", unit \"counts\")"
-                .to_owned())
+        Some(counts) if keys.quantity == Quantity::Clock => {
+            let holds = counts.is_power_of_two() && counts.ilog2() <= layout.width().into();
+            holds.then_some(Some(f64::from(counts))).ok_or_else(|| {
+                format!("wraps_at {counts} is not allowed for a clock (expected a power of two that its type holds)")
+            })
         }
+        Some(_) if !is_position => Err(
+            "wraps_at is for a position (expected quantity \"angle\", unit \"counts\") or a clock"
+                .to_owned(),
+        ),
         Some(counts) if counts < 2 => {
             Err(format!("wraps_at {counts} is not allowed (expected 2 or more)"))
         }

@@ -37,6 +37,9 @@ pub(super) struct ProfileFile {
     #[serde(default)]
     pub(super) identity: Vec<Spanned<IdentityKeys>>,
     pub(super) signals: BTreeMap<String, Spanned<SignalKeys>>,
+    /// Channel to what it is in SI, by the values of signals.
+    #[serde(default)]
+    pub(super) derived: BTreeMap<String, Spanned<DerivedKeys>>,
     #[serde(default)]
     pub(super) missing: BTreeMap<String, Spanned<String>>,
     pub(super) setpoints: BTreeMap<String, Spanned<SetPointKeys>>,
@@ -59,19 +62,20 @@ pub(super) struct LinkKeys {
     #[serde(default)]
     pub(super) framing: Framing,
     pub(super) unit: u8,
+    #[serde(default)]
     pub(super) functions: Vec<u8>,
-    pub(super) max_read: u16,
-    pub(super) max_write: u16,
+    pub(super) max_read: Option<u16>,
+    pub(super) max_write: Option<u16>,
     #[serde(default)]
     pub(super) max_hole: u16,
     #[serde(default)]
     pub(super) exact_reads: Vec<(i64, u16)>,
-    pub(super) address_base: BaseText,
+    pub(super) address_base: Option<BaseText>,
     pub(super) address_formula: Option<Formula>,
     pub(super) reply_ms: f64,
     pub(super) gap_us: Option<f64>,
     pub(super) deadline_ms: Option<f64>,
-    pub(super) resync: Resync,
+    pub(super) resync: Option<Resync>,
     pub(super) nvm_cycles: Option<u32>,
 }
 
@@ -94,14 +98,16 @@ pub struct SignalKeys {
     pub(super) address: Option<i64>,
     pub(super) parameter: Option<String>,
     pub(super) can: Option<[i64; 2]>,
+    /// VESC: bit of the mask of its selected values.
+    pub(super) field: Option<u8>,
+    /// VESC: a command without parameters, and the byte of its reply, counted from the one behind the command.
+    pub(super) reply: Option<[u16; 2]>,
     /// 3: holding, 4: input register.
     pub(super) function: Option<u8>,
     #[serde(rename = "type")]
     pub(super) kind: Kind,
-    #[serde(default)]
-    pub(super) word_order: Order,
-    #[serde(default)]
-    pub(super) byte_order: Order,
+    pub(super) word_order: Option<Order>,
+    pub(super) byte_order: Option<Order>,
     pub(super) byte: Option<Byte>,
     /// `"3..5"`.
     pub(super) bits: Option<String>,
@@ -127,10 +133,66 @@ pub struct SignalKeys {
     /// By which an electrical frequency is divided.
     pub pole_pairs: Option<u8>,
     pub(super) counts_per_turn: Option<u32>,
-    /// Counts after which a position begins again; default: all that its bits hold.
-    pub(super) wraps_at: Option<u32>,
+    /// Counts after which a position or a clock begins again; default: all that its bits hold.
+    pub wraps_at: Option<u32>,
     pub trust: Option<Trust>,
     pub note: Option<String>,
+}
+
+/// `[derived]`: a channel that is computed, as an expression or as a table with one.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(untagged)]
+pub(super) enum DerivedKeys {
+    Expression(String),
+    Whole(WholeDerived),
+}
+
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WholeDerived {
+    pub(super) value: String,
+    /// Default: derived.
+    pub(super) origin: Option<Origin>,
+    pub(super) side: Option<Side>,
+    pub(super) filter_ms: Option<f64>,
+}
+
+impl SignalKeys {
+    /// Of a channel that is computed.
+    pub(super) fn derived(quantity: Quantity, unit: Unit, whole: &WholeDerived) -> Self {
+        Self {
+            address: None,
+            parameter: None,
+            can: None,
+            field: None,
+            reply: None,
+            function: None,
+            kind: Kind::F32,
+            word_order: None,
+            byte_order: None,
+            byte: None,
+            bits: None,
+            scale: None,
+            offset: None,
+            scale_by: Vec::new(),
+            unit,
+            quantity,
+            poll: PollRate::Fast,
+            valid: None,
+            invalid: Vec::new(),
+            origin: Some(whole.origin.unwrap_or(Origin::Derived)),
+            signed: None,
+            filter_ms: whole.filter_ms,
+            update_ms: None,
+            basis: None,
+            side: whole.side,
+            pole_pairs: None,
+            counts_per_turn: None,
+            wraps_at: None,
+            trust: None,
+            note: None,
+        }
+    }
 }
 
 /// `[setpoints.NAME]`: one value that is written.
@@ -140,14 +202,14 @@ pub struct SetPointKeys {
     pub(super) address: Option<i64>,
     pub(super) parameter: Option<String>,
     pub(super) can: Option<[i64; 2]>,
+    /// VESC: the command that takes the value.
+    pub(super) command: Option<u8>,
     /// 6 or 16.
     pub(super) function: Option<u8>,
     #[serde(rename = "type")]
     pub(super) kind: Kind,
-    #[serde(default)]
-    pub(super) word_order: Order,
-    #[serde(default)]
-    pub(super) byte_order: Order,
+    pub(super) word_order: Option<Order>,
+    pub(super) byte_order: Option<Order>,
     pub(super) scale: Option<f64>,
     pub(super) offset: Option<f64>,
     #[serde(default)]
@@ -233,6 +295,8 @@ pub struct WatchdogKeys {
 pub(super) struct WatchdogTime {
     pub(super) address: Option<i64>,
     pub(super) parameter: Option<String>,
+    #[serde(rename = "type")]
+    pub(super) kind: Option<Kind>,
     /// What one raw unit is, ms.
     pub(super) unit_ms: f64,
     /// What the drive takes, ms; default: all that the register holds.

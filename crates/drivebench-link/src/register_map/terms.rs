@@ -69,6 +69,8 @@ named! {
     /// What a register means.
     pub enum Quantity {
         Current = "current",
+        /// A current that is positive where it drives the shaft the way of the voltage, whatever that is.
+        DrivingCurrent = "driving_current",
         Voltage = "voltage",
         BusVoltage = "bus_voltage",
         LineVoltage = "line_voltage",
@@ -145,9 +147,11 @@ impl Quantity {
     /// Units in which it may be given; `None`: any.
     const fn units(self) -> Option<&'static [Unit]> {
         Some(match self {
-            Self::Current | Self::FieldCurrent | Self::RatedCurrent | Self::CurrentLimit => {
-                &[Unit::A, Unit::Percent]
-            }
+            Self::Current
+            | Self::DrivingCurrent
+            | Self::FieldCurrent
+            | Self::RatedCurrent
+            | Self::CurrentLimit => &[Unit::A, Unit::Percent],
             Self::Voltage
             | Self::BusVoltage
             | Self::LineVoltage

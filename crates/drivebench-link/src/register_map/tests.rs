@@ -16,9 +16,9 @@ fn map(name: &str) -> RegisterMap {
 }
 
 #[test]
-fn all_eleven_have_name_source_and_trust() {
+fn all_thirteen_have_name_source_and_trust() {
     let profiles = foreign();
-    assert_eq!(profiles.len(), 11);
+    assert_eq!(profiles.len(), 13);
     for (name, _) in profiles {
         let profile = DriveProfile::named(name).unwrap();
         assert_eq!(profile.name, name);
@@ -109,14 +109,20 @@ fn reads_keep_the_drives_limits_and_serve_every_signal() {
                 assert!(fits, "{name} {block:?}");
                 served += block.signals.len();
             }
-            let wanted = map.signals.iter().filter(|s| s.keys.poll == poll);
+            let read = map.signals.iter().filter(|signal| signal.formula.is_none());
+            let wanted = read.filter(|signal| signal.keys.poll == poll);
             assert_eq!(served, wanted.count(), "{name}");
         }
     }
     // Eleven registers in one read; one register a request.
-    for (name, reads) in
-        [("vacon10", 1), ("toshiba-vfs11", 2), ("roboteq-dc", 3), ("delta-ms300", 1)]
-    {
+    for (name, reads) in [
+        ("vacon10", 1),
+        ("toshiba-vfs11", 2),
+        ("roboteq-dc", 3),
+        ("delta-ms300", 1),
+        ("dynamixel-xm430", 1),
+        ("vesc-dc", 1),
+    ] {
         let fast = plan_reads(&map(name), PollRate::Fast);
         assert_eq!(fast.len(), reads, "{name}");
     }

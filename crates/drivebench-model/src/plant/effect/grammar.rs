@@ -20,11 +20,11 @@ pub(super) const PI: &str = "pi";
 
 /// A mistake in an expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Mistake {
+pub struct Mistake {
     /// Byte at which it was noticed.
-    pub(super) offset: usize,
-    pub(super) message: String,
-    pub(super) help: String,
+    pub offset: usize,
+    pub message: String,
+    pub help: String,
 }
 
 /// A parsed expression; names are indices.
@@ -198,10 +198,10 @@ pub(super) fn sign(value: f64) -> f64 {
 }
 
 /// Reads `text`. `names` gives the index of a variable, or the help for an unknown one.
-pub(super) fn read(
-    text: &str,
-    names: &dyn Fn(&str) -> Result<usize, String>,
-) -> Result<Tree, Mistake> {
+///
+/// # Errors
+/// The first mistake, with its position.
+pub fn read(text: &str, names: &dyn Fn(&str) -> Result<usize, String>) -> Result<Tree, Mistake> {
     let mut reader = Reader { text, at: 0, depth: 0, names };
     let tree = reader.sum()?;
     match reader.peek() {

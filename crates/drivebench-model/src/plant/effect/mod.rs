@@ -56,7 +56,7 @@ pub use angle::ShaftAngle;
 pub use defined::{FAMILIES, define, family};
 pub use definition::{DefinitionError, Layout};
 pub use formula::{Formula, Place, SYMBOLS};
-pub use grammar::Tree;
+pub use grammar::{Mistake, Tree, read as read_expression};
 pub use kind::{BiasedFit, Harmonic, Limit, TermKind, VISCOUS_SLOPE, VOLTAGE_DROP};
 pub use parameter::{ParameterRole, ParameterSpec, SearchRange};
 pub use table::{Axis, weights as table_weights};

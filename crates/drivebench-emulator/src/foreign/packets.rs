@@ -1,0 +1,269 @@
+//! Drives whose language is packets: VESC and Dynamixel, as the makers' documents describe them.
+//!
+//! The register profile says where each value lies; framing, check sums and the order of the fields are written here a second time,
+//! without code of the host, so that two implementations check each other.
+
+use super::ForeignDrive;
+use drivebench_link::register_map::Layout;
+use drivebench_link::{CellTable, KickedBy, Protocol};
+
+/// Bytes of each selected value of a VESC, by its bit (commands.c).
+const SELECTED: [u16; 22] = [2, 2, 4, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4, 4, 4, 1, 4, 1, 6, 4, 4, 1];
+
+/// Polynomial division, highest bit first, without a final inversion.
+fn crc16(polynomial: u16, bytes: &[u8]) -> u16 {
+    let mut crc: u16 = 0;
+    for bit in bytes.iter().flat_map(|byte| (0..8).rev().map(move |at| byte >> at & 1)) {
+        let carries = (crc >> 15) as u8 != bit;
+        crc = (crc << 1) ^ if carries { polynomial } else { 0 };
+    }
+    crc
+}
+
+/// Collects the bytes of one connection.
+#[derive(Debug, Default)]
+pub(crate) struct PacketReceiver {
+    bytes: Vec<u8>,
+}
+
+impl PacketReceiver {
+    /// Takes a byte; the body of the packet that it ends: the payload of a VESC's, or id, instruction and parameters.
+    pub(crate) fn push(&mut self, protocol: Protocol, byte: u8) -> Option<Vec<u8>> {
+        self.bytes.push(byte);
+        loop {
+            let whole = match protocol {
+                Protocol::Vesc => vesc_packet(&self.bytes),
+                _ => dynamixel_packet(&self.bytes),
+            };
+            match whole {
+                Whole::Not => drop(self.bytes.remove(0)),
+                Whole::Yet => return None,
+                Whole::Packet(body) => {
+                    self.bytes.clear();
+                    return Some(body);
+                }
+            }
+            if self.bytes.is_empty() {
+                return None;
+            }
+        }
+    }
+}
+
+enum Whole {
+    /// No packet begins here.
+    Not,
+    /// One may begin here.
+    Yet,
+    Packet(Vec<u8>),
+}
+
+fn vesc_packet(bytes: &[u8]) -> Whole {
+    let (begin, length) = match *bytes {
+        [2, length, ..] if length > 0 => (2, usize::from(length)),
+        [3, high, low, ..] if high > 0 || low == 255 => {
+            (3, usize::from(high) * 256 + usize::from(low))
+        }
+        [2 | 3] | [3, _] => return Whole::Yet,
+        _ => return Whole::Not,
+    };
+    // The longest payload that the firmware takes.
+    if length > 512 {
+        return Whole::Not;
+    }
+    let Some(tail) = bytes.get(begin + length..begin + length + 3) else {
+        return Whole::Yet;
+    };
+    let payload = &bytes[begin..begin + length];
+    let crc = crc16(0x1021, payload);
+    let [crc_high, crc_low] = crc.to_be_bytes();
+    if tail == [crc_high, crc_low, 3] { Whole::Packet(payload.to_vec()) } else { Whole::Not }
+}
+
+fn dynamixel_packet(bytes: &[u8]) -> Whole {
+    let header = [0xFF, 0xFF, 0xFD, 0];
+    let has = bytes.len().min(4);
+    if bytes[..has] != header[..has] {
+        return Whole::Not;
+    }
+    let Some(length) = bytes.get(5..7).map(|two| usize::from(two[0]) + 256 * usize::from(two[1]))
+    else {
+        return Whole::Yet;
+    };
+    if !(3..=256).contains(&length) {
+        return Whole::Not;
+    }
+    let Some(packet) = bytes.get(..7 + length) else {
+        return Whole::Yet;
+    };
+    let (checked, crc) = packet.split_at(5 + length);
+    if crc16(0x8005, checked).to_le_bytes() != crc {
+        return Whole::Not;
+    }
+    let mut body = vec![packet[4]];
+    for byte in &checked[7..] {
+        // What was stuffed behind FF FF FD.
+        if !(*byte == 0xFD && body[1..].ends_with(&[0xFF, 0xFF, 0xFD])) {
+            body.push(*byte);
+        }
+    }
+    Whole::Packet(body)
+}
+
+impl ForeignDrive {
+    /// What answers the body of a packet; nothing where the language has no reply to it, or it is for another.
+    pub fn answer_packet(
+        &mut self,
+        body: &[u8],
+        may_command: &mut dyn FnMut() -> bool,
+    ) -> Option<Vec<u8>> {
+        match self.map.protocol {
+            Protocol::Vesc => self.answer_vesc(body, may_command),
+            _ => self.answer_dynamixel(body, may_command),
+        }
+    }
+
+    fn answer_vesc(
+        &mut self,
+        payload: &[u8],
+        may_command: &mut dyn FnMut() -> bool,
+    ) -> Option<Vec<u8>> {
+        let (command, rest) = payload.split_first()?;
+        let reply = match (*command, rest) {
+            (50, [b3, b2, b1, b0]) => {
+                let mask = u32::from_be_bytes([*b3, *b2, *b1, *b0]);
+                let mut reply = payload.to_vec();
+                for (bit, width) in
+                    SELECTED.iter().enumerate().filter(|(bit, _)| mask >> bit & 1 == 1)
+                {
+                    reply.extend(self.bytes(CellTable::Fields(1 << bit), 0, *width));
+                }
+                reply
+            }
+            // The alive message keeps the last command.
+            (30, _) => {
+                self.kick(KickedBy::Command);
+                return None;
+            }
+            (command, []) => {
+                let length = self.reply_length(CellTable::Reply(command))?;
+                let mut reply = vec![command];
+                reply.extend(self.bytes(CellTable::Reply(command), 0, length));
+                reply
+            }
+            (command, value) => {
+                if may_command() {
+                    self.take_command(command, value);
+                }
+                return None;
+            }
+        };
+        let crc = crc16(0x1021, &reply).to_be_bytes();
+        let head = match count(&reply).to_be_bytes() {
+            [0, short] => vec![2, short],
+            [high, low] => vec![3, high, low],
+        };
+        Some([head, reply, crc.to_vec(), vec![3]].concat())
+    }
+
+    /// A command of a VESC replaces the one before it.
+    fn take_command(&mut self, command: u8, value: &[u8]) {
+        let map = std::sync::Arc::clone(&self.map);
+        let mut points = map.set_points.iter();
+        let Some(point) = points.find(|point| point.function == command) else {
+            return;
+        };
+        self.written.clear();
+        for (address, byte) in (point.location.address..).zip(value) {
+            self.written(address, (*byte).into());
+        }
+        self.apply_write(point.location.address, point.location.layout.cells());
+    }
+
+    fn answer_dynamixel(
+        &mut self,
+        body: &[u8],
+        may_command: &mut dyn FnMut() -> bool,
+    ) -> Option<Vec<u8>> {
+        let [id, instruction, parameters @ ..] = body else {
+            return None;
+        };
+        if *id != self.unit {
+            return None;
+        }
+        self.kick(KickedBy::Any);
+        let (error, data) = match (*instruction, parameters) {
+            // Ping: model and firmware.
+            (1, []) => (0, self.bytes(CellTable::Bytes, 0, 2)),
+            (2, [a0, a1, n0, n1]) => {
+                let (address, count) =
+                    (u16::from_le_bytes([*a0, *a1]), u16::from_le_bytes([*n0, *n1]));
+                (0, self.bytes(CellTable::Bytes, address, count))
+            }
+            (3, [a0, a1, data @ ..]) if may_command() => {
+                (self.write_bytes(u16::from_le_bytes([*a0, *a1]), data), Vec::new())
+            }
+            // Result fail, and an instruction that it does not know.
+            (3, _) => (1, Vec::new()),
+            _ => (2, Vec::new()),
+        };
+        let mut body = vec![0x55, error];
+        for byte in data {
+            body.push(byte);
+            if body.ends_with(&[0xFF, 0xFF, 0xFD]) {
+                body.push(0xFD);
+            }
+        }
+        let length = (count(&body) + 2).to_le_bytes();
+        let packet = [&[0xFF, 0xFF, 0xFD, 0, *id][..], &length, &body].concat();
+        let crc = crc16(0x8005, &packet).to_le_bytes();
+        Some([&packet[..], &crc].concat())
+    }
+
+    /// Writes a control table; the error number.
+    fn write_bytes(&mut self, address: u16, data: &[u8]) -> u8 {
+        let is_lapsed = self.has_lost_host();
+        let mut addresses = (address..).take(data.len());
+        if !addresses.all(|address| self.is_writable(address)) {
+            return 7;
+        }
+        let map = std::sync::Arc::clone(&self.map);
+        let mut points = map.set_points.iter().filter(|point| point.location.address == address);
+        // After its watchdog has stopped it, goals are refused until that is cleared.
+        if is_lapsed && points.any(|point| !point.is_word()) {
+            return 4;
+        }
+        for (address, byte) in (address..).zip(data) {
+            self.written(address, (*byte).into());
+        }
+        self.apply_write(address, count(data));
+        0
+    }
+
+    /// So many bytes from there on; zeros where nothing is mapped.
+    fn bytes(&mut self, table: CellTable, first: u16, count: u16) -> Vec<u8> {
+        let addresses = first..first.saturating_add(count);
+        let cells = addresses.map(|address| self.register(table, address).unwrap_or(0));
+        cells.map(|cell| cell.to_le_bytes()[0]).collect()
+    }
+
+    /// Bytes of the reply to a command, as far as the profile reads it.
+    fn reply_length(&self, table: CellTable) -> Option<u16> {
+        let signals = self.map.signals.iter().map(|signal| signal.location);
+        let ends = signals.filter(|at| at.table == table).map(|at| at.address + at.layout.cells());
+        ends.max()
+    }
+}
+
+fn count(bytes: &[u8]) -> u16 {
+    u16::try_from(bytes.len()).unwrap_or(u16::MAX)
+}
+
+/// A cell of a pattern of 32 bits, counted as the drive has them.
+pub(super) fn byte_of(pattern: u32, layout: Layout, offset: u16) -> u8 {
+    let ordered = match layout.bytes {
+        drivebench_link::register_map::Order::HighFirst => layout.cells() - 1 - offset,
+        drivebench_link::register_map::Order::LowFirst => offset,
+    };
+    pattern.to_le_bytes()[usize::from(ordered)]
+}
