@@ -17,12 +17,13 @@ macro_rules! embedded {
     };
 }
 
-const EMBEDDED: [(&str, &str); 15] = [
+const EMBEDDED: [(&str, &str); 16] = [
     embedded!("own"),
     embedded!("own-stream"),
     embedded!("abb-dcs-gateway"),
     embedded!("abb-efb"),
     embedded!("delta-ms300"),
+    embedded!("dynamixel-xl330"),
     embedded!("dynamixel-xm430"),
     embedded!("epulse50-dc"),
     embedded!("leadshine-iem"),

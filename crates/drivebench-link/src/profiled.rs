@@ -161,8 +161,13 @@ impl<B: CellBus> ProfiledLink<B> {
         let period_s = self.last_exchange_s.map_or(0.0, |last_s| began_s - last_s);
         self.last_exchange_s = Some(began_s);
         self.points.begin();
+        let mut lapsed = None;
         if matches!(wanted, Wanted::Run(_)) {
             self.lapse(began_s)?;
+        } else if self.has_lapsed(began_s).is_some() {
+            // A drive that resumes with the next command shows that its watchdog has expired only before that.
+            self.readings.read_fast(&mut self.bus, None)?;
+            lapsed = self.is_in_fault().then(|| self.sample(began_s, began_s));
         }
         self.decide(wanted, began_s);
         // After a refused write the state is read all the same: a fault or the keypad may be the reason.
@@ -244,6 +249,10 @@ impl<B: CellBus> ProfiledLink<B> {
         }
         let (time_s, half_width_s) = self.stamp(span);
         let mut sample = self.sample(time_s, began_s);
+        if let Some(before) = lapsed {
+            (sample.state, sample.fault, sample.fault_text) =
+                (before.state, before.fault, before.fault_text);
+        }
         sample.time_half_width_s = half_width_s;
         sample.seq = Some(seq);
         sample.applied = put_s.map(|(asked_s, carried)| {
@@ -298,16 +307,20 @@ impl<B: CellBus> ProfiledLink<B> {
         LinkError::Sequence { link, command, step, steps, reason }
     }
 
+    /// The time of the drive's watchdog, s, where a drive that runs has got nothing that it counts for longer.
+    fn has_lapsed(&self, now_s: f64) -> Option<f64> {
+        let silence_s = now_s - self.kicked_s;
+        self.watchdog_s.filter(|limit_s| silence_s > *limit_s && self.mode == Mode::On)
+    }
+
     /// Silence longer than the drive's watchdog: an old set-point must not act again with the next write.
     fn lapse(&mut self, now_s: f64) -> Result<()> {
-        let silence_s = now_s - self.kicked_s;
-        let Some(watchdog_s) = self.watchdog_s.filter(|limit_s| silence_s > *limit_s) else {
+        let Some(watchdog_s) = self.has_lapsed(now_s) else {
             return Ok(());
         };
-        if self.mode != Mode::On {
-            return Ok(());
-        }
-        self.give_up()?;
+        let silence_s = now_s - self.kicked_s;
+        // A drive that its watchdog has stopped may refuse the words of a stop.
+        gone(self.give_up())?;
         let reason = format!(
             "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
         );
@@ -764,6 +777,11 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
         if !matches!(zeroed, Err(LinkError::Gone { .. })) {
             // A drive that refuses a reference may accept a stop.
             self.stop()?;
+        }
+        // One in fault takes none, and its output is off; its enable command begins with all references at zero.
+        let is_off = self.is_in_fault() && self.reported("running") == Some(false);
+        if is_off && matches!(zeroed, Err(LinkError::Exception { .. })) {
+            return Ok(());
         }
         zeroed
     }

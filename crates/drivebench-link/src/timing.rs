@@ -85,11 +85,12 @@ impl LineTiming {
         (request_bytes, reply_bytes): (usize, usize),
         (asked, answered, complete): (Instant, Instant, Instant),
     ) -> (Instant, Instant) {
-        let (out, back) = (self.wire(request_bytes, 0), self.wire(0, reply_bytes.saturating_sub(1)));
+        let (out, back) =
+            (self.wire(request_bytes, 0), self.wire(0, reply_bytes.saturating_sub(1)));
         if complete.saturating_duration_since(asked) < out + back {
             return (asked, answered);
         }
-        (asked + out, answered.min(complete - back))
+        (asked + out, complete.checked_sub(back).map_or(answered, |begun| answered.min(begun)))
     }
 
     pub(super) const fn network_delay(&self) -> Duration {

@@ -293,7 +293,12 @@ impl ForeignDrive {
         let si = signal.channel.map(|(_, si)| si);
         match signal.keys.quantity {
             Quantity::Current => sensed.current_a,
-            Quantity::DrivingCurrent => sensed.current_a * sensed.voltage_cmd_v.signum(),
+            Quantity::DrivingCurrent => {
+                // A duty of half a thousandth is reported as none.
+                let duty = sensed.voltage_cmd_v / limit_v;
+                let way = if duty.abs() < 5e-4 { sensed.speed_rad_s } else { duty };
+                sensed.current_a * way.signum()
+            }
             Quantity::Voltage => sensed.voltage_v,
             Quantity::BusVoltage => sensed.bus_v,
             Quantity::LineVoltage => sensed.bus_v / SQRT_2,

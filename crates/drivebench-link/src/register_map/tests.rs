@@ -16,9 +16,9 @@ fn map(name: &str) -> RegisterMap {
 }
 
 #[test]
-fn all_thirteen_have_name_source_and_trust() {
+fn all_fourteen_have_name_source_and_trust() {
     let profiles = foreign();
-    assert_eq!(profiles.len(), 13);
+    assert_eq!(profiles.len(), 14);
     for (name, _) in profiles {
         let profile = DriveProfile::named(name).unwrap();
         assert_eq!(profile.name, name);
