@@ -230,7 +230,7 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     };
     let reads = blocks.iter().enumerate().map(|(at, block)| {
         let with = joined.filter(|(_, with)| *with == at).map(|(point, _)| put(point));
-        Turn { put: with, read: Some(block.read) }
+        Turn { put: with, read: Some(block.read), skipped: 0 }
     });
     let reference = map.set_points.iter().find(|point| !point.is_word());
     let alone = reference.filter(|_| joined.is_none());

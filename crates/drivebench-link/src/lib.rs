@@ -32,6 +32,8 @@ mod command_times;
 mod exceptions;
 mod exchange;
 mod framing;
+#[cfg(test)]
+mod language_trials;
 mod line_bus;
 mod link;
 mod link_core;

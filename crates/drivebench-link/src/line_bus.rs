@@ -10,11 +10,11 @@
 //! Where every reply carries the number of its request none of this is needed.
 
 use std::collections::VecDeque;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use super::cell_bus::{CellBus, CellTable, CellsRead, Put, ReadRequest, Span};
 use super::exchange::{Exchange, NoData, Query};
-use super::framing::Turn;
+use super::framing::{FrameKind, Turn};
 use super::link::{LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::Answer;
 use super::proof::Method;
@@ -36,6 +36,11 @@ pub(super) trait Language: Send {
         query: Query<'_>,
     ) -> Result<Answer<Vec<u16>>>;
 
+    /// A turn as it goes out, so that its reply is told from those of the turns before it.
+    fn prepared<'a>(&mut self, _kind: FrameKind, turn: Turn<'a>) -> Turn<'a> {
+        turn
+    }
+
     /// Carries out one request of the proof.
     fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()>;
 
@@ -50,15 +55,36 @@ pub(super) struct Framed {
     unit: u8,
     /// Turns so far: each has another number.
     turns: u32,
+    /// Reads so far: each has another length than those before it, where that is all that names its reply.
+    reads: u16,
+    /// Lengths whose reply is missing, and since when.
+    missing: Vec<(u16, Instant)>,
 }
+
+/// For how long the length of a read without a reply names no other: longer than a reply is late on a line that still works.
+const LATEST: Duration = Duration::from_millis(500);
 
 impl Framed {
     pub(super) const fn new(unit: u8) -> Self {
-        Self { unit, turns: 0 }
+        Self { unit, turns: 0, reads: 0, missing: Vec::new() }
     }
 }
 
 impl Language for Framed {
+    fn prepared<'a>(&mut self, kind: FrameKind, turn: Turn<'a>) -> Turn<'a> {
+        self.missing.retain(|(_, since)| now() < *since + LATEST);
+        let next = |number: u16| (number + 1) % kind.lengths();
+        let mut longer = turn;
+        for _ in 0..kind.lengths() {
+            self.reads = next(self.reads);
+            longer = turn.lengthened(self.reads);
+            if !self.missing.iter().any(|(length, _)| *length == longer.length()) {
+                break;
+            }
+        }
+        longer
+    }
+
     fn call(
         &mut self,
         exchange: &mut Exchange,
@@ -73,7 +99,11 @@ impl Language for Framed {
             let reply = filter.ask(&request).await.map_err(NoData::Transport)?;
             kind.cells(&reply, turn)
         };
-        exchange.call(query, reply, Ok)
+        let answer = exchange.call(query, reply, Ok);
+        if answer.is_err() && kind.lengths() > 1 {
+            self.missing.push((turn.length(), now()));
+        }
+        answer
     }
 
     fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()> {
@@ -148,6 +178,7 @@ impl<L: Language> LineBus<L> {
 
     /// A turn whose reply is accepted only if no second one comes within the usual time of a reply.
     fn alone(&mut self, turn: Turn<'_>) -> Result<CellsRead> {
+        let turn = self.language.prepared(self.exchange.kind, turn);
         self.in_step(turn)?;
         let (request, reply) = self.bytes(turn);
         let wire = self.exchange.core.timing.wire(request, reply);
@@ -267,7 +298,7 @@ impl<L: Language> CellBus for LineBus<L> {
     }
 
     fn read_write(&mut self, put: Put<'_>, read: ReadRequest) -> Result<CellsRead> {
-        self.alone(Turn { put: Some(put), read: Some(read) })
+        self.alone(Turn { put: Some(put), read: Some(read), skipped: 0 })
     }
 
     fn object(&mut self, object: u8) -> Result<Option<String>> {

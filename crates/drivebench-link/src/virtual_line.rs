@@ -76,7 +76,7 @@ pub(super) fn modbus_link<D: Device + 'static>(
 }
 
 /// The exchanges over a line in memory; the thread has to be in virtual time.
-fn exchange<D: Device + 'static>(
+pub(super) fn exchange<D: Device + 'static>(
     name: &str,
     kind: FrameKind,
     settings: &LinkSettings,

@@ -186,7 +186,7 @@ pub(super) fn cells(reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
         error => return Err(NoData::Refused { code: ALERT | error, name: error_name(error) }),
     }
     debug_assert_eq!(parameters.len(), turn.read.map_or(0, |read| read.count.into()));
-    Ok(parameters.iter().map(|byte| u16::from(*byte)).collect())
+    Ok(parameters.iter().skip(turn.skipped.into()).map(|byte| u16::from(*byte)).collect())
 }
 
 #[cfg(test)]

@@ -48,6 +48,14 @@ impl FrameKind {
         matches!(self, Self::Rtu)
     }
 
+    /// Lengths of a read that are told apart where a reply carries nothing else that names its request; 1: not needed.
+    pub(super) const fn lengths(self) -> u16 {
+        match self {
+            Self::Dynamixel => 32,
+            _ => 1,
+        }
+    }
+
     /// The bytes of a turn, for the languages that are ours; `number` is another one for each.
     pub(super) fn request(self, unit: u8, turn: Turn<'_>, number: u32) -> Vec<u8> {
         match self {
@@ -55,6 +63,15 @@ impl FrameKind {
             Self::Dynamixel => dynamixel::request(unit, turn),
             // The client of tokio-modbus makes these.
             Self::Rtu | Self::Tcp => Vec::new(),
+        }
+    }
+
+    /// A packet around a body, as the far end makes one.
+    #[cfg(test)]
+    pub(super) fn packet(self, id: u8, body: &[u8]) -> Vec<u8> {
+        match self {
+            Self::Vesc => vesc::packet(body),
+            _ => dynamixel::packet(id, body),
         }
     }
 
@@ -85,15 +102,33 @@ pub(super) const PROOF_WRITE: u8 = 2;
 pub(super) struct Turn<'a> {
     pub(super) put: Option<Put<'a>>,
     pub(super) read: Option<ReadRequest>,
+    /// Cells in front of those that are wanted.
+    pub(super) skipped: u16,
 }
 
 impl<'a> Turn<'a> {
     pub(super) const fn read(read: ReadRequest) -> Self {
-        Self { put: None, read: Some(read) }
+        Self { put: None, read: Some(read), skipped: 0 }
     }
 
     pub(super) const fn write(put: Put<'a>) -> Self {
-        Self { put: Some(put), read: None }
+        Self { put: Some(put), read: None, skipped: 0 }
+    }
+
+    /// The same read with `number` cells more in front of it, as far as there are any: a reply of this length answers it and none of
+    /// the requests before it.
+    pub(super) fn lengthened(self, number: u16) -> Self {
+        let Some(read) = self.read else {
+            return self;
+        };
+        let skipped = number.min(read.address);
+        let (address, count) = (read.address - skipped, read.count + skipped);
+        Self { read: Some(ReadRequest { address, count, ..read }), skipped, ..self }
+    }
+
+    /// Cells that are read, those in front included.
+    pub(super) fn length(&self) -> u16 {
+        self.read.map_or(0, |read| read.count)
     }
 
     /// As a request of Modbus, which is what the proof of synchronisation takes.

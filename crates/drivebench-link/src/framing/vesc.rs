@@ -20,8 +20,9 @@ const SELECTIVE: u8 = 50;
 const WIDTHS: [u8; 22] = [2, 2, 4, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4, 4, 4, 1, 4, 1, 6, 4, 4, 1];
 /// What a command without a read asks for, one byte: the fault code.
 const LEAST: u32 = 1 << 15;
-/// Bits of the mask in which the number of the request travels; no firmware from 4.02 to 7.01 gives them a meaning.
-const NUMBER_SHIFT: u32 = 26;
+/// The upper eight bits of the mask carry the number of the request; no firmware from 4.02 to 7.01 gives them a meaning. They come
+/// round after 256 requests, half a second at 500 Hz, when no late reply is expected any more.
+const NUMBER_SHIFT: u32 = 24;
 /// Bytes of a packet around a payload of up to 255 bytes, and of that of the selected values before them.
 const AROUND: usize = 5;
 const HEAD: usize = 5;
@@ -215,10 +216,10 @@ mod tests {
     #[test]
     fn a_turn_is_a_command_and_its_selected_values() {
         let duty = Put { function: 5, address: 0, cells: &[0, 0, 0x27, 0x10] };
-        let both = Turn { put: Some(duty), read: Some(values(0x0039_81E0)) };
+        let both = Turn { put: Some(duty), read: Some(values(0x0039_81E0)), skipped: 0 };
         let expected =
             [bytes_of("02 05 05 00 00 27 10 AE 17 03"), bytes_of("02 05 32 04 39 81 E0 0C 2F 03")];
-        assert_eq!(request(both, 1), expected.concat());
+        assert_eq!(request(both, 4), expected.concat());
         assert_eq!(bytes(both).0, 20);
         // Bits 5 to 8, 15, 16, 19 to 21.
         assert_eq!(bytes(both).1, 10 + 4 + 2 + 4 + 2 + 1 + 4 + 4 + 4 + 1);

@@ -1,0 +1,177 @@
+//! Trials of the languages whose frames are made here: replies that are late, lost, doubled, cut, flipped and among garbage, in
+//! virtual time. No read may give a value that is not the one of its own request.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use super::DriveProfile;
+use super::cell_bus::{CellBus, CellTable, Put, ReadRequest};
+use super::framing::FrameKind;
+use super::line_bus::{Framed, LineBus};
+use super::link::LinkError;
+use super::virtual_line::{Device, exchange, paused};
+
+/// Where the number stands.
+const ADDRESS: u16 = 128;
+
+/// A drive whose every reply holds another number.
+struct Numbering {
+    kind: FrameKind,
+    count: u32,
+    random: u64,
+    /// Share of the replies with a fault, in 256ths.
+    faulty: u64,
+    pending: Vec<u8>,
+}
+
+impl Numbering {
+    /// Xorshift (Marsaglia 2003).
+    fn random(&mut self, below: u64) -> u64 {
+        self.random ^= self.random << 13;
+        self.random ^= self.random >> 7;
+        self.random ^= self.random << 17;
+        (self.random >> 16) % below
+    }
+
+    /// The reply to the request that these bytes end; `None` where they do not.
+    fn reply(&mut self) -> Option<Vec<u8>> {
+        let sent = std::mem::take(&mut self.pending);
+        match self.kind {
+            FrameKind::Vesc => {
+                // The selected values end each request: mask and check sum.
+                let [.., b3, b2, b1, b0, _, _, 3] = sent[..] else {
+                    self.pending = sent;
+                    return None;
+                };
+                self.count += 1;
+                let number = self.count.to_be_bytes();
+                let mask = u32::from_be_bytes([b3, b2, b1, b0]);
+                // Bit 7 has four bytes, bit 15 one.
+                let values: &[u8] = if mask & (1 << 7) == 0 { &[0] } else { &number };
+                Some(self.kind.packet(0, &[&[50, b3, b2, b1, b0][..], values].concat()))
+            }
+            _ => {
+                self.count += 1;
+                // What stands in front of the number, and how much is read from there.
+                let (before, count) = match sent[7] {
+                    2 => (ADDRESS.saturating_sub(sent[8].into()), sent[10].into()),
+                    _ => (0, 0),
+                };
+                let number = self.count.to_le_bytes();
+                let front = std::iter::repeat_n(0, before.into());
+                let data = front.chain(number).chain([0; 60]).take(count);
+                let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
+                Some(self.kind.packet(1, &body))
+            }
+        }
+    }
+}
+
+impl Device for Numbering {
+    fn receive(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+        let ms = Duration::from_micros;
+        self.pending.extend_from_slice(bytes);
+        let Some(mut reply) = self.reply() else {
+            return Vec::new();
+        };
+        let usual = ms(1000 + self.random(300));
+        if self.random(256) >= self.faulty {
+            return vec![(usual, reply)];
+        }
+        let at = usize::try_from(self.random(reply.len() as u64)).unwrap();
+        match self.random(8) {
+            0 => Vec::new(),
+            1 => vec![(ms(20_000 + self.random(300_000)), reply)],
+            2 => vec![(usual, reply.clone()), (usual + ms(self.random(15_000)), reply)],
+            3 => vec![(usual, reply[..at].to_vec())],
+            4 => {
+                reply[at] ^= 1 << self.random(8);
+                vec![(usual, reply)]
+            }
+            5 => {
+                let garbage: Vec<u8> =
+                    (0..self.random(40)).map(|_| self.random(256) as u8).collect();
+                vec![(usual, [garbage, reply].concat())]
+            }
+            6 => {
+                reply.insert(at, self.random(256) as u8);
+                vec![(usual, reply)]
+            }
+            _ => {
+                let rest = reply.split_off(at);
+                vec![(usual, reply), (usual + ms(self.random(9_000)), rest)]
+            }
+        }
+    }
+}
+
+/// Reads so many times with so many faults: how many had a value, and how many of those a wrong one.
+fn trial(profile: &str, exchanges: u32, faulty: u64, seed: u64) -> (u32, u32) {
+    let profile = DriveProfile::named(profile).unwrap();
+    let map = profile.registers.as_deref().unwrap();
+    let kind = FrameKind::serial(profile.link.protocol);
+    let (table, address, count, function) = match kind {
+        FrameKind::Vesc => (CellTable::Fields(1 << 7), 0, 4, 5),
+        _ => (CellTable::Bytes, ADDRESS, 4, 2),
+    };
+    let pending = Vec::new();
+    let device = Numbering { kind, count: 0, random: seed, faulty, pending };
+    let device = Arc::new(Mutex::new(device));
+    paused(|| {
+        let line = exchange("virtual", kind, &profile.link, &device);
+        let mut bus = LineBus::new(Framed::new(1), line, map);
+        let (mut values, mut wrong) = (0, 0);
+        for turn in 0..exchanges {
+            bus.bound(f64::INFINITY);
+            let read = ReadRequest { table, address, count };
+            let put = Put { function, address: 100, cells: &[0, 0] };
+            let read = match turn % 3 {
+                0 if kind == FrameKind::Vesc => bus.read_write(put, read),
+                1 => {
+                    drop(bus.write(put));
+                    continue;
+                }
+                _ => bus.read(read),
+            };
+            let right = device.lock().unwrap().count;
+            match read {
+                Ok(read) => {
+                    let bytes: Vec<u8> =
+                        read.cells.iter().map(|cell| cell.to_le_bytes()[0]).collect();
+                    let bytes: [u8; 4] = bytes.try_into().unwrap();
+                    let found = match kind {
+                        FrameKind::Vesc => u32::from_be_bytes(bytes),
+                        _ => u32::from_le_bytes(bytes),
+                    };
+                    values += 1;
+                    wrong += u32::from(found != right);
+                }
+                Err(error) => assert!(!matches!(error, LinkError::Gone { .. }), "{error}"),
+            }
+        }
+        assert!(bus.statistics().balances());
+        (values, wrong)
+    })
+}
+
+#[test]
+fn no_fault_of_a_line_gives_a_value_of_another_request() {
+    for profile in ["vesc-dc", "dynamixel-xm430"] {
+        let (values, wrong) = trial(profile, 3000, 0, 1);
+        assert_eq!((values, wrong), (2000, 0), "{profile}: a clean line");
+        let (values, wrong) = trial(profile, 12_000, 13, 2);
+        assert_eq!(wrong, 0, "{profile}: {values} values");
+        assert!(values > 7000, "{profile}: {values} values");
+    }
+}
+
+#[test]
+#[ignore = "a million exchanges of each language; `cargo test --release -p drivebench-link -- --ignored language`"]
+fn language_trials_of_a_million_exchanges() {
+    for profile in ["vesc-dc", "dynamixel-xm430"] {
+        for seed in 1..=10 {
+            let (values, wrong) = trial(profile, 100_000, 13, seed);
+            assert_eq!(wrong, 0, "{profile}, seed {seed}: {values} values");
+        }
+    }
+}
