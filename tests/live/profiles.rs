@@ -77,10 +77,63 @@ fn our_emulator_with_another_profile_counts_as_emulator() {
     assert_eq!(desk.manifest()["identity"]["is_emulator"], true);
 }
 
+/// Drives that speak no Modbus: a sequence of voltages over a real pseudo-terminal.
+fn drives_of_other_languages_take_voltages() {
+    for (profile, ready) in [
+        ("vesc-dc", "unit=1 baud=115200 profile=vesc-dc\n"),
+        ("dynamixel-xm430", "unit=1 baud=57600 profile=dynamixel-xm430\n"),
+    ] {
+        let desk = Desk::new();
+        let (pty, runs) = (desk.path("drive.pty"), desk.path("runs"));
+        let emulator = Emulator::start(
+            &format!("emulate zk-22fc-plain --profile {profile} --pty {{}}"),
+            &[&pty],
+        );
+        assert!(emulator.ready.ends_with(ready), "{}", emulator.ready);
+        let bench = bench(&desk, profile, 20, "");
+        call(
+            "run {} --port {} --headless --hardware --waive-watchdog --out {}",
+            &[&bench, &pty, &runs],
+        )
+        .expect(0);
+        let manifest = desk.manifest();
+        assert_eq!(manifest["outcome"], "passed", "{profile}");
+        assert_eq!(manifest["wire"]["foreign_frames"], 0, "{profile}");
+        let samples = desk.read("samples.csv");
+        assert!(samples.lines().count() > 10, "{profile}: {samples}");
+    }
+}
+
+/// The whole way of somebody with such a drive on the desk, in virtual time: the hidden Stribeck friction is named.
+#[test]
+fn a_vesc_and_a_dynamixel_are_commissioned() {
+    for (profile, baud, rate_hz) in
+        [("vesc-dc", 115_200, 100.0), ("dynamixel-xm430", 1_000_000, 100.0)]
+    {
+        let desk = Desk::new();
+        let (bench, runs) = (desk.path("bench.toml"), desk.path("runs"));
+        let motor = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/motors/zk-22fc.toml");
+        call(
+            &format!("init --drive {profile} --port sim: --baud {baud} --motor {{}} --out {{}}"),
+            &[&motor, &bench],
+        )
+        .expect(0);
+        let text = fs::read_to_string(&bench).unwrap();
+        let rate = text.lines().find(|line| line.starts_with("rate_hz = ")).unwrap();
+        fs::write(&bench, text.replace(rate, &format!("rate_hz = {rate_hz:.1}"))).unwrap();
+        let done = call("commission {} --headless --json --out {}", &[&bench, &runs]).expect(0);
+        let found = done.json();
+        assert_eq!(found["truth"]["named_correctly"], true, "{profile}: {}", found["sentence"]);
+        let size = &found["truth"]["sizes"][0];
+        assert!(size["error_percent"].as_f64().unwrap().abs() < 15.0, "{profile}: {size}");
+    }
+}
+
 /// Beside each other, for they wait most of the time.
 #[test]
 fn drives_of_other_makes_run_in_real_time() {
-    let tests: [fn(); 3] = [
+    let tests: [fn(); 4] = [
+        drives_of_other_languages_take_voltages,
         a_servo_amplifier_is_driven_by_a_speed_loop,
         our_emulator_with_another_profile_counts_as_emulator,
         a_profile_from_a_file_takes_voltages,

@@ -33,37 +33,37 @@ impl Numbering {
         (self.random >> 16) % below
     }
 
+    fn byte(&mut self) -> u8 {
+        self.random(256).to_le_bytes()[0]
+    }
+
     /// The reply to the request that these bytes end; `None` where they do not.
     fn reply(&mut self) -> Option<Vec<u8>> {
         let sent = std::mem::take(&mut self.pending);
-        match self.kind {
-            FrameKind::Vesc => {
-                // The selected values end each request: mask and check sum.
-                let [.., b3, b2, b1, b0, _, _, 3] = sent[..] else {
-                    self.pending = sent;
-                    return None;
-                };
-                self.count += 1;
-                let number = self.count.to_be_bytes();
-                let mask = u32::from_be_bytes([b3, b2, b1, b0]);
-                // Bit 7 has four bytes, bit 15 one.
-                let values: &[u8] = if mask & (1 << 7) == 0 { &[0] } else { &number };
-                Some(self.kind.packet(0, &[&[50, b3, b2, b1, b0][..], values].concat()))
-            }
-            _ => {
-                self.count += 1;
-                // What stands in front of the number, and how much is read from there.
-                let (before, count) = match sent[7] {
-                    2 => (ADDRESS.saturating_sub(sent[8].into()), sent[10].into()),
-                    _ => (0, 0),
-                };
-                let number = self.count.to_le_bytes();
-                let front = std::iter::repeat_n(0, before.into());
-                let data = front.chain(number).chain([0; 60]).take(count);
-                let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
-                Some(self.kind.packet(1, &body))
-            }
+        if self.kind == FrameKind::Vesc {
+            // The selected values end each request: mask and check sum.
+            let [.., b3, b2, b1, b0, _, _, 3] = sent[..] else {
+                self.pending = sent;
+                return None;
+            };
+            self.count += 1;
+            let number = self.count.to_be_bytes();
+            let mask = u32::from_be_bytes([b3, b2, b1, b0]);
+            // Bit 7 has four bytes, bit 15 one.
+            let values: &[u8] = if mask & (1 << 7) == 0 { &[0] } else { &number };
+            return Some(self.kind.packet(0, &[&[50, b3, b2, b1, b0][..], values].concat()));
         }
+        self.count += 1;
+        // What stands in front of the number, and how much is read from there.
+        let (before, count) = match sent[7] {
+            2 => (ADDRESS.saturating_sub(sent[8].into()), sent[10].into()),
+            _ => (0, 0),
+        };
+        let number = self.count.to_le_bytes();
+        let front = std::iter::repeat_n(0, before.into());
+        let data = front.chain(number).chain([0; 60]).take(count);
+        let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
+        Some(self.kind.packet(1, &body))
     }
 }
 
@@ -89,12 +89,12 @@ impl Device for Numbering {
                 vec![(usual, reply)]
             }
             5 => {
-                let garbage: Vec<u8> =
-                    (0..self.random(40)).map(|_| self.random(256) as u8).collect();
+                let garbage: Vec<u8> = (0..self.random(40)).map(|_| self.byte()).collect();
                 vec![(usual, [garbage, reply].concat())]
             }
             6 => {
-                reply.insert(at, self.random(256) as u8);
+                let byte = self.byte();
+                reply.insert(at, byte);
                 vec![(usual, reply)]
             }
             _ => {

@@ -87,6 +87,11 @@ impl ClockMap {
         }
     }
 
+    /// Exchanges that the line goes through.
+    pub fn marks(&self) -> usize {
+        self.marks.len().max(1)
+    }
+
     /// Drive time minus host time, at the host time given; s. `None` before the first exchange.
     pub fn offset_s(&self, host_s: f64) -> Option<f64> {
         let (centre_s, offset_s, slope) = self.line()?;

@@ -267,3 +267,90 @@ pub(super) fn byte_of(pattern: u32, layout: Layout, offset: u16) -> u8 {
     };
     pattern.to_le_bytes()[usize::from(ordered)]
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::Guise;
+    use super::*;
+    use crate::EmulatorConfig;
+    use drivebench_link::DriveProfile;
+
+    fn drive(profile: &str) -> ForeignDrive {
+        let guise = Guise::of(&DriveProfile::named(profile).unwrap()).unwrap();
+        ForeignDrive::new(&guise, &EmulatorConfig::embedded("zk-22fc-plain").unwrap(), 1)
+    }
+
+    fn bytes_of(text: &str) -> Vec<u8> {
+        text.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
+    }
+
+    /// What the drive answers to these bytes.
+    fn answers(drive: &mut ForeignDrive, bytes: &[u8]) -> Vec<Vec<u8>> {
+        let mut receiver = PacketReceiver::default();
+        let protocol = drive.map.protocol;
+        let bodies = bytes.iter().filter_map(|byte| receiver.push(protocol, *byte));
+        let bodies: Vec<Vec<u8>> = bodies.collect();
+        bodies.iter().filter_map(|body| drive.answer_packet(body, &mut || true)).collect()
+    }
+
+    /// The requests are those of the makers' libraries.
+    #[test]
+    fn a_vesc_answers_the_packets_of_its_makers_code() {
+        let mut vesc = drive("vesc-dc");
+        // Duty .1, twice: among garbage, and damaged.
+        let duty = bytes_of("02 05 05 00 00 27 10 AE 17 03");
+        let mut damaged = duty.clone();
+        damaged[6] ^= 1;
+        let values = bytes_of("02 05 32 04 39 81 E0 0C 2F 03");
+        let sent = [&[3, 2, 9][..], &duty, &damaged, &values].concat();
+        let answered = answers(&mut vesc, &sent);
+        assert_eq!(answered.len(), 1, "a duty has no answer");
+        assert_eq!(answered[0][2..7], values[2..7], "the mask as it came");
+        assert_eq!(answered[0].len(), 36);
+        vesc.advance_to(1.0);
+        assert!(vesc.speed_rad_s() > 20.0, "a tenth of 120 V turns it");
+        // The alive message keeps the last command; silence stops it.
+        answers(&mut vesc, &bytes_of("02 01 1E F3 FF 03"));
+        vesc.advance_to(1.9);
+        assert!(vesc.speed_rad_s() > 20.0);
+        vesc.advance_to(4.0);
+        assert!(vesc.speed_rad_s() < 1.0, "{}", vesc.speed_rad_s());
+        let status = |answer: &[u8]| answer[answer.len() - 4];
+        assert_eq!(status(&answers(&mut vesc, &values)[0]), 1, "the time-out shows");
+        let current = bytes_of("02 05 06 00 00 00 00 CD 85 03");
+        assert_eq!(status(&answers(&mut vesc, &[current, values].concat())[0]), 0);
+    }
+
+    #[test]
+    fn a_dynamixel_refuses_goals_until_its_watchdog_is_cleared() {
+        let mut servo = drive("dynamixel-xm430");
+        let mut error = |text: &str| answers(&mut servo, &bytes_of(text))[0][8];
+        let torque_on = "FF FF FD 00 01 06 00 03 40 00 01 DB 66";
+        for (request, expected) in [
+            ("FF FF FD 00 01 03 00 01 19 4E", 0),
+            ("FF FF FD 00 01 07 00 03 64 00 00 00 4B 8D", 0),
+            ("FF FF FD 00 01 06 00 03 62 00 0A 4A E4", 0),
+        ] {
+            assert_eq!(error(request), expected, "{request}");
+        }
+        let write = |address: u8, value: u8| {
+            let body = [&[0xFF, 0xFF, 0xFD, 0, 1, 6, 0, 3][..], &[address, 0, value]].concat();
+            let crc = crc16(0x8005, &body).to_le_bytes();
+            [&body[..], &crc].concat()
+        };
+        for (address, value) in [(64, 0), (98, 0), (11, 16), (98, 10), (64, 1)] {
+            assert_eq!(answers(&mut servo, &write(address, value))[0][8], 0, "{address}");
+        }
+        assert_eq!(answers(&mut servo, &bytes_of(torque_on))[0][8], 0);
+        servo.advance_to(1.0);
+        let goal = bytes_of("FF FF FD 00 01 07 00 03 64 00 2C 01 4D 65");
+        assert_eq!(answers(&mut servo, &goal)[0][8], 4);
+        assert_eq!(servo.bytes(CellTable::Bytes, 98, 1), [255]);
+        assert_eq!(answers(&mut servo, &write(98, 0))[0][8], 0);
+        assert_eq!(answers(&mut servo, &goal)[0][8], 0);
+        // Another id, and an address that is not there.
+        let other = bytes_of("FF FF FD 00 02 03 00 01 19 72");
+        assert!(answers(&mut servo, &other).is_empty());
+        assert_eq!(answers(&mut servo, &write(200, 1))[0][8], 7);
+    }
+}

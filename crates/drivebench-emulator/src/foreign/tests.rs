@@ -202,9 +202,11 @@ fn near(name: &str, found: f64, wanted: f64, most: f64) {
     assert!((found - wanted).abs() < most, "{name}: {found}, not {wanted}");
 }
 
-/// The profiles of drives of other makes.
+/// The profiles of drives of other makes with registers of Modbus.
 fn foreign_names() -> impl Iterator<Item = &'static str> {
-    DriveProfile::names().filter(|name| profile_with(name, &[]).registers.is_some())
+    let is_one =
+        |profile: &DriveProfile| profile.registers.is_some() && profile.link.protocol.is_modbus();
+    DriveProfile::names().filter(move |name| is_one(&profile_with(name, &[])))
 }
 
 /// A set-point of each drive and the speed of the emulated motor with it, rad/s; one pole pair.

@@ -291,6 +291,8 @@ pub(super) struct Clock {
     resolution_s: f64,
     counter: DriveClock,
     map: ClockMap,
+    /// Of the last reading, s.
+    half_width_s: f64,
 }
 
 impl Clock {
@@ -310,10 +312,12 @@ impl Clock {
             resolution_s,
             counter: DriveClock::default(),
             map: ClockMap::default(),
+            half_width_s: 0.5 * resolution_s,
         })
     }
 
-    /// Drive time of the counter as it was read last, s since the first one.
+    /// Drive time of the counter as it was read last, s since the first one. Within a count the host's own clock tells where, as well
+    /// as the exchange does and the offset of both clocks is known.
     pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
         let reading = readings.at(self.signal);
         let span = reading.span;
@@ -321,14 +325,17 @@ impl Clock {
         let raw = reading.pattern.unwrap_or_default() << self.shift;
         // What [`DriveClock`] takes a count for, s.
         let counts = self.count_s / 1e-6;
-        let time_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
-        self.map.observe(span, time_s);
-        time_s
+        let count_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
+        let half_count_s = 0.5 * self.resolution_s;
+        self.map.observe(span, count_s + half_count_s);
+        // An offset is the mean of marks that each are off by up to half of a count.
+        let offset_s = half_count_s / (self.map.marks() as f64).sqrt();
+        self.half_width_s = half_count_s.min(span.half_width_s() + offset_s);
+        self.of_host_s(span.middle_s()).clamp(count_s, count_s + self.resolution_s)
     }
 
-    /// Half of a count, s: between two of them nothing is known.
     pub(super) const fn half_width_s(&self) -> f64 {
-        0.5 * self.resolution_s
+        self.half_width_s
     }
 
     /// A host time on the drive's clock, s; before the first look at it, its zero.

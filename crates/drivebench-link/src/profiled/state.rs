@@ -35,9 +35,11 @@ impl<B: CellBus> ProfiledLink<B> {
         self.reported("fault") == Some(true) || self.has_lost_host()
     }
 
-    /// Whether it reports that its watchdog has expired.
+    /// Whether it reports that its watchdog has expired. One that resumes with the next command reports it of every silence, also
+    /// of that before the first command.
     fn has_lost_host(&self) -> bool {
-        self.reported("comm_loss") == Some(true)
+        let rests = self.mode == Mode::Off && self.map.watchdog.keys.auto_resume;
+        self.reported("comm_loss") == Some(true) && !rests
     }
 
     /// The code of its fault, as last read; 0 is none.

@@ -84,10 +84,10 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
             for _ in 0..3 {
                 let sample = table.rest();
                 let off_s = sample.time_s + began_s - table.far().time_s();
-                // The count is cut off in both.
-                assert!(off_s.abs() < 1.01 * count_s, "{kind} {unit}: {off_s}");
+                // The count is cut off in both, and each stamp lies somewhere within its own.
+                assert!(off_s.abs() < 2.01 * count_s, "{kind} {unit}: {off_s}");
                 let half_s = sample.time_half_width_s.unwrap();
-                assert!((half_s - 0.5 * count_s).abs() < 1e-12, "{unit}: {half_s}");
+                assert!(half_s <= 0.5 * count_s + 1e-12, "{unit}: {half_s}");
             }
         }
     }
