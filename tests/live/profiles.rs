@@ -104,6 +104,22 @@ fn drives_of_other_languages_take_voltages() {
     }
 }
 
+/// A drive that is spoken to in lines, with the speed loop that it can carry.
+fn a_drive_of_lines_is_driven_by_a_speed_loop() {
+    let desk = Desk::new();
+    let (pty, runs) = (desk.path("odrive.pty"), desk.path("runs"));
+    let _emulator = Emulator::start("emulate zk-22fc-plain --profile odrive-0.5 --pty {}", &[&pty]);
+    let bench = bench(&desk, "odrive-0.5", 8, SPEED);
+    call(
+        "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
+        &[&bench, &pty, &runs],
+    )
+    .expect(0);
+    let manifest = desk.manifest();
+    assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
+    assert_eq!(manifest["wire"]["foreign_frames"], 0);
+}
+
 /// The whole way of somebody with such a drive on the desk, in virtual time: the hidden Stribeck friction is named.
 #[test]
 fn a_vesc_and_a_dynamixel_are_commissioned() {
@@ -132,7 +148,8 @@ fn a_vesc_and_a_dynamixel_are_commissioned() {
 /// Beside each other, for they wait most of the time.
 #[test]
 fn drives_of_other_makes_run_in_real_time() {
-    let tests: [fn(); 4] = [
+    let tests: [fn(); 5] = [
+        a_drive_of_lines_is_driven_by_a_speed_loop,
         drives_of_other_languages_take_voltages,
         a_servo_amplifier_is_driven_by_a_speed_loop,
         our_emulator_with_another_profile_counts_as_emulator,

@@ -126,7 +126,9 @@ impl Codec {
             }
             Protocol::ModbusTcp => Self::ModbusTcp(Box::default(), unit),
             Protocol::Stream => Self::Stream(Box::default()),
-            Protocol::Vesc | Protocol::Dynamixel => Self::Packets(PacketReceiver::default(), kind),
+            Protocol::Vesc | Protocol::Dynamixel | Protocol::Lines => {
+                Self::Packets(PacketReceiver::default(), kind)
+            }
         }
     }
 

@@ -232,10 +232,16 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
         let with = joined.filter(|(_, with)| *with == at).map(|(point, _)| put(point));
         Turn { put: with, read: Some(block.read), skipped: 0 }
     });
-    let reference = map.set_points.iter().find(|point| !point.is_word());
+    let reference = map.set_points.iter().find(|point| point.keys.quantity.moves());
     let alone = reference.filter(|_| joined.is_none());
     let write = alone.map(|point| Turn::write(put(point)));
-    reads.chain(write).map(|turn| kind.bytes(turn)).collect()
+    reads
+        .chain(write)
+        .map(|turn| match &map.lines {
+            Some(grammar) => grammar.bytes(turn),
+            None => kind.bytes(turn),
+        })
+        .collect()
 }
 
 /// The first reference that may go out together with a read.
@@ -254,7 +260,7 @@ pub(super) fn may_join(map: &RegisterMap, point: &SetPoint) -> bool {
 pub(super) fn joint_block(map: &RegisterMap, fast: &[ReadBlock]) -> Option<usize> {
     let can = |block: &ReadBlock| match block.read.table {
         CellTable::Holding => map.functions.contains(&23),
-        CellTable::Fields(_) => true,
+        CellTable::Fields(_) | CellTable::Lines(_) => true,
         _ => false,
     };
     fast.iter().position(can)

@@ -1,7 +1,7 @@
 //! Bus of cells: the interface that a profiled drive needs of its link. A cell is a register, or one byte where a drive is addressed
 //! by bytes.
 
-use super::framing::fields_width;
+use super::framing::{LINE_CELLS, fields_width};
 use super::link::{LinkName, LinkStatistics, Result, RoundTrips};
 use super::register_map::Location;
 use super::transaction::{LineCounts, StopRequest};
@@ -21,6 +21,8 @@ pub enum CellTable {
     Fields(u32),
     /// Bytes of the reply to this command.
     Reply(u8),
+    /// Numbers in the answers to these lines of the profile, two cells each: a bit for each line.
+    Lines(u64),
     /// Nowhere: the value is computed from others.
     Computed,
 }
@@ -51,6 +53,10 @@ impl ReadRequest {
             (CellTable::Fields(mask), CellTable::Fields(bit)) => {
                 fields_width(mask & (bit.wrapping_sub(1))).into()
             }
+            (CellTable::Lines(mask), CellTable::Lines(line)) => {
+                let before = (mask & line.wrapping_sub(1)).count_ones() as usize;
+                before * usize::from(LINE_CELLS) + usize::from(location.address - self.address)
+            }
             _ => location.address.saturating_sub(self.address).into(),
         }
     }
@@ -76,6 +82,7 @@ impl ReadRequest {
             CellTable::Bytes => format!("read {count} bytes at {address}"),
             CellTable::Fields(mask) => format!("read the values of mask {mask:#010x}"),
             CellTable::Reply(command) => format!("command {command}"),
+            CellTable::Lines(mask) => format!("ask {} lines of the profile", mask.count_ones()),
             CellTable::Computed => "nothing".to_owned(),
         }
     }

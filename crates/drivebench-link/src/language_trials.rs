@@ -22,6 +22,7 @@ struct Numbering {
     /// Share of the replies with a fault, in 256ths.
     faulty: u64,
     pending: Vec<u8>,
+    scratch: String,
 }
 
 impl Numbering {
@@ -40,6 +41,9 @@ impl Numbering {
     /// The reply to the request that these bytes end; `None` where they do not.
     fn reply(&mut self) -> Option<Vec<u8>> {
         let sent = std::mem::take(&mut self.pending);
+        if self.kind == FrameKind::Lines {
+            return self.answers(&sent);
+        }
         if self.kind == FrameKind::Vesc {
             // The selected values end each request: mask and check sum.
             let [.., b3, b2, b1, b0, _, _, 3] = sent[..] else {
@@ -64,6 +68,31 @@ impl Numbering {
         let data = front.chain(number).chain([0; 60]).take(count);
         let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
         Some(self.kind.packet(1, &body))
+    }
+}
+
+impl Numbering {
+    /// The answers of the drive odrive-0.5 to whole lines with check sums: the scratch number as it is, the bus voltage as the count.
+    fn answers(&mut self, sent: &[u8]) -> Option<Vec<u8>> {
+        let mut reply = String::new();
+        for line in std::str::from_utf8(sent).ok()?.lines() {
+            let line = line.rsplit_once(" *")?.0;
+            let answer = match line.strip_prefix("w test_property ") {
+                Some(number) => {
+                    number.clone_into(&mut self.scratch);
+                    continue;
+                }
+                None if line == "r test_property" => self.scratch.clone(),
+                None if line == "r vbus_voltage" => {
+                    self.count += 1;
+                    format!("{}.000000", self.count)
+                }
+                None => continue,
+            };
+            let sum = answer.bytes().fold(0, |sum, byte| sum ^ byte);
+            reply.extend([answer, format!("*{sum}\r\n")]);
+        }
+        Some(reply.into_bytes())
     }
 }
 
@@ -105,26 +134,42 @@ impl Device for Numbering {
     }
 }
 
+fn bytes(cells: &[u16]) -> [u8; 4] {
+    let bytes: Vec<u8> = cells.iter().map(|cell| cell.to_le_bytes()[0]).collect();
+    bytes.try_into().unwrap()
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count below 2^24")]
+fn number(value: f32) -> u32 {
+    value as u32
+}
+
 /// Reads so many times with so many faults: how many had a value, and how many of those a wrong one.
 fn trial(profile: &str, exchanges: u32, faulty: u64, seed: u64) -> (u32, u32) {
     let profile = DriveProfile::named(profile).unwrap();
     let map = profile.registers.as_deref().unwrap();
     let kind = FrameKind::serial(profile.link.protocol);
+    let bus = map.signal("bus").map(|signal| signal.location.request());
     let (table, address, count, function) = match kind {
+        FrameKind::Lines => (bus.unwrap().table, 0, 2, 2),
         FrameKind::Vesc => (CellTable::Fields(1 << 7), 0, 4, 5),
         _ => (CellTable::Bytes, ADDRESS, 4, 2),
     };
-    let pending = Vec::new();
-    let device = Numbering { kind, count: 0, random: seed, faulty, pending };
+    let (pending, scratch) = (Vec::new(), String::new());
+    let device = Numbering { kind, count: 0, random: seed, faulty, pending, scratch };
     let device = Arc::new(Mutex::new(device));
     paused(|| {
         let line = exchange("virtual", kind, &profile.link, &device);
-        let mut bus = LineBus::new(Framed::new(1), line, map);
+        let mut bus = LineBus::new(Framed::new(1, map.lines.clone()), line, map);
         let (mut values, mut wrong) = (0, 0);
         for turn in 0..exchanges {
             bus.bound(f64::INFINITY);
             let read = ReadRequest { table, address, count };
-            let put = Put { function, address: 100, cells: &[0, 0] };
+            let put = Put {
+                function,
+                address: if kind == FrameKind::Lines { 0 } else { 100 },
+                cells: &[0, 0],
+            };
             let read = match turn % 3 {
                 0 if kind == FrameKind::Vesc => bus.read_write(put, read),
                 1 => {
@@ -136,12 +181,18 @@ fn trial(profile: &str, exchanges: u32, faulty: u64, seed: u64) -> (u32, u32) {
             let right = device.lock().unwrap().count;
             match read {
                 Ok(read) => {
-                    let bytes: Vec<u8> =
-                        read.cells.iter().map(|cell| cell.to_le_bytes()[0]).collect();
-                    let bytes: [u8; 4] = bytes.try_into().unwrap();
                     let found = match kind {
-                        FrameKind::Vesc => u32::from_be_bytes(bytes),
-                        _ => u32::from_le_bytes(bytes),
+                        FrameKind::Lines => {
+                            let bits = u32::from(read.cells[0]) << 16 | u32::from(read.cells[1]);
+                            let value = f32::from_bits(bits);
+                            // No number is a missing one.
+                            if value.is_nan() {
+                                continue;
+                            }
+                            number(value)
+                        }
+                        FrameKind::Vesc => u32::from_be_bytes(bytes(&read.cells)),
+                        _ => u32::from_le_bytes(bytes(&read.cells)),
                     };
                     values += 1;
                     wrong += u32::from(found != right);
@@ -156,7 +207,7 @@ fn trial(profile: &str, exchanges: u32, faulty: u64, seed: u64) -> (u32, u32) {
 
 #[test]
 fn no_fault_of_a_line_gives_a_value_of_another_request() {
-    for profile in ["vesc-dc", "dynamixel-xm430"] {
+    for profile in ["vesc-dc", "dynamixel-xm430", "odrive-0.5"] {
         let (values, wrong) = trial(profile, 3000, 0, 1);
         assert_eq!((values, wrong), (2000, 0), "{profile}: a clean line");
         let (values, wrong) = trial(profile, 12_000, 13, 2);
@@ -168,7 +219,7 @@ fn no_fault_of_a_line_gives_a_value_of_another_request() {
 #[test]
 #[ignore = "a million exchanges of each language; `cargo test --release -p drivebench-link -- --ignored language`"]
 fn language_trials_of_a_million_exchanges() {
-    for profile in ["vesc-dc", "dynamixel-xm430"] {
+    for profile in ["vesc-dc", "dynamixel-xm430", "odrive-0.5"] {
         for seed in 1..=10 {
             let (values, wrong) = trial(profile, 100_000, 13, seed);
             assert_eq!(wrong, 0, "{profile}, seed {seed}: {values} values");

@@ -10,11 +10,12 @@
 //! Where every reply carries the number of its request none of this is needed.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::cell_bus::{CellBus, CellTable, CellsRead, Put, ReadRequest, Span};
 use super::exchange::{Exchange, NoData, Query};
-use super::framing::{FrameKind, Turn};
+use super::framing::{FrameKind, Grammar, Turn};
 use super::link::{LinkError, LinkName, LinkStatistics, Result, RoundTrips};
 use super::link_core::Answer;
 use super::proof::Method;
@@ -41,6 +42,16 @@ pub(super) trait Language: Send {
         turn
     }
 
+    /// Bytes of a turn on the line, and of its reply.
+    fn bytes(&self, kind: FrameKind, turn: Turn<'_>) -> (usize, usize) {
+        kind.bytes(turn)
+    }
+
+    /// Answers of a turn beyond its first, each with a time of its own.
+    fn more_answers(&self, _turn: Turn<'_>) -> u32 {
+        0
+    }
+
     /// Carries out one request of the proof.
     fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()>;
 
@@ -53,6 +64,8 @@ pub(super) trait Language: Send {
 /// A language whose frames are made here, in framing/.
 pub(super) struct Framed {
     unit: u8,
+    /// Of a language of lines.
+    grammar: Option<Arc<Grammar>>,
     /// Turns so far: each has another number.
     turns: u32,
     /// Reads so far: each has another length than those before it, where that is all that names its reply.
@@ -65,8 +78,8 @@ pub(super) struct Framed {
 const LATEST: Duration = Duration::from_millis(500);
 
 impl Framed {
-    pub(super) const fn new(unit: u8) -> Self {
-        Self { unit, turns: 0, reads: 0, missing: Vec::new() }
+    pub(super) const fn new(unit: u8, grammar: Option<Arc<Grammar>>) -> Self {
+        Self { unit, grammar, turns: 0, reads: 0, missing: Vec::new() }
     }
 }
 
@@ -93,17 +106,33 @@ impl Language for Framed {
     ) -> Result<Answer<Vec<u16>>> {
         self.turns = self.turns.wrapping_add(1);
         let kind = exchange.kind;
-        let request = kind.request(self.unit, turn, self.turns);
         let filter = exchange.filter.clone();
+        let grammar = self.grammar.as_deref();
+        let request = match &self.grammar {
+            Some(grammar) => {
+                let (request, awaited) = grammar.turn(turn, self.turns);
+                filter.expect_lines(awaited);
+                request
+            }
+            None => kind.request(self.unit, turn, self.turns),
+        };
         let reply = async {
             let reply = filter.ask(&request).await.map_err(NoData::Transport)?;
-            kind.cells(&reply, turn)
+            grammar.map_or_else(|| kind.cells(&reply, turn), |grammar| grammar.cells(&reply, turn))
         };
         let answer = exchange.call(query, reply, Ok);
         if answer.is_err() && kind.lengths() > 1 {
             self.missing.push((turn.length(), now()));
         }
         answer
+    }
+
+    fn bytes(&self, kind: FrameKind, turn: Turn<'_>) -> (usize, usize) {
+        self.grammar.as_ref().map_or_else(|| kind.bytes(turn), |grammar| grammar.bytes(turn))
+    }
+
+    fn more_answers(&self, turn: Turn<'_>) -> u32 {
+        self.grammar.as_ref().map_or(0, |grammar| grammar.answers(turn) - 1)
     }
 
     fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()> {
@@ -173,7 +202,7 @@ impl<L: Language> LineBus<L> {
 
     /// Bytes of a turn on the line.
     fn bytes(&self, turn: Turn<'_>) -> (usize, usize) {
-        self.exchange.kind.bytes(turn)
+        self.language.bytes(self.exchange.kind, turn)
     }
 
     /// A turn whose reply is accepted only if no second one comes within the usual time of a reply.
@@ -190,7 +219,7 @@ impl<L: Language> LineBus<L> {
             // Its reply would arrive outside an exchange and put the line in doubt.
             return Err(self.exchange.unproven());
         }
-        let answer = self.call(turn, self.allowed(request, reply))?;
+        let answer = self.call(turn, self.allowed(turn, request, reply))?;
         let answer = CellsRead { cells: answer.value, span: answer.span };
         if self.exchange.kind.is_numbered() {
             return Ok(answer);
@@ -216,13 +245,14 @@ impl<L: Language> LineBus<L> {
     }
 
     /// Time of one exchange: a bounded one belongs to a cycle.
-    fn allowed(&self, request_bytes: usize, reply_bytes: usize) -> Duration {
+    fn allowed(&self, turn: Turn<'_>, request_bytes: usize, reply_bytes: usize) -> Duration {
         let core = &self.exchange.core;
-        if core.bound.is_set() {
+        let one = if core.bound.is_set() {
             core.timing.hurried(request_bytes, reply_bytes)
         } else {
             core.timing.allowed(request_bytes, reply_bytes)
-        }
+        };
+        one + core.timing.answers(self.language.more_answers(turn))
     }
 
     /// Updates the usual time of a reply; a silence that is the only proof keeps its length.
@@ -277,7 +307,7 @@ impl<L: Language> CellBus for LineBus<L> {
         let turn = Turn::write(put);
         self.in_step(turn)?;
         let (request, reply) = self.bytes(turn);
-        Ok(self.call(turn, self.allowed(request, reply))?.span)
+        Ok(self.call(turn, self.allowed(turn, request, reply))?.span)
     }
 
     fn write_at_once(&mut self, put: Put<'_>) -> Result<Span> {
@@ -290,6 +320,7 @@ impl<L: Language> CellBus for LineBus<L> {
             // On a line in doubt the reply is awaited no longer than usual.
             allowed = allowed.min(timing.brief(request, reply));
         }
+        allowed += timing.answers(self.language.more_answers(turn));
         // What stops a drive has its own short time, whatever is left of that for reading.
         let bound = std::mem::take(&mut self.exchange.core.bound);
         let result = self.call(turn, allowed);

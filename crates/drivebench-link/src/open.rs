@@ -131,7 +131,7 @@ pub fn open_cells(
     tap: Option<&TapFile>,
 ) -> Result<impl CellBus + use<>> {
     let (exchange, unit) = open_exchange(target, &profile.link, epoch, tap)?;
-    Ok(LineBus::new(Framed::new(unit), exchange, map))
+    Ok(LineBus::new(Framed::new(unit, map.lines.clone()), exchange, map))
 }
 
 /// The link of the profile over a line: our own registers, or a map with the bus that its language needs.
@@ -145,7 +145,8 @@ pub(super) fn dressed(exchange: Exchange, unit: u8, profile: &DriveProfile) -> B
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
         Some(map) => {
-            let bus = LineBus::new(Framed::new(unit), exchange, map).emulated(is_emulated);
+            let framed = Framed::new(unit, map.lines.clone());
+            let bus = LineBus::new(framed, exchange, map).emulated(is_emulated);
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
     }

@@ -17,7 +17,7 @@ macro_rules! embedded {
     };
 }
 
-const EMBEDDED: [(&str, &str); 16] = [
+const EMBEDDED: [(&str, &str); 18] = [
     embedded!("own"),
     embedded!("own-stream"),
     embedded!("abb-dcs-gateway"),
@@ -27,7 +27,9 @@ const EMBEDDED: [(&str, &str); 16] = [
     embedded!("dynamixel-xm430"),
     embedded!("epulse50-dc"),
     embedded!("leadshine-iem"),
+    embedded!("odrive-0.5"),
     embedded!("roboteq-dc"),
+    embedded!("roboteq-sdc"),
     embedded!("schneider-atv312"),
     embedded!("siemens-v20"),
     embedded!("toshiba-vfs11"),

@@ -14,7 +14,7 @@ use std::task::{Context, Poll};
 
 use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _, ReadBuf};
 
-use super::framing::{Echo, FrameKind};
+use super::framing::{Awaited, Echo, FrameKind};
 use super::transaction::Reception;
 use super::waiting::now;
 
@@ -53,6 +53,11 @@ impl ReplyFilter {
     /// Sets the bytes that the reply to the next request must echo.
     pub(super) fn expect(&self, echo: Echo) {
         self.inner().reception.expected.echo = Some(echo);
+    }
+
+    /// Sets the lines of text that the reply to the next request consists of.
+    pub(super) fn expect_lines(&self, lines: Awaited) {
+        self.inner().reception.expected.lines = lines;
     }
 
     /// Listens until something comes: how many bytes.

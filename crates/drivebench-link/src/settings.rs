@@ -47,17 +47,20 @@ named! {
         Vesc = "vesc",
         /// Dynamixel protocol 2.0.
         Dynamixel = "dynamixel-2",
+        /// Lines of text that the profile gives.
+        Lines = "lines",
     }
 }
 
 impl Protocol {
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 7] = [
         Self::ModbusRtu,
         Self::ModbusTcp,
         Self::ModbusRtuOverTcp,
         Self::Stream,
         Self::Vesc,
         Self::Dynamixel,
+        Self::Lines,
     ];
 
     /// Whether its profile is a register map of Modbus.

@@ -72,11 +72,12 @@ impl TapFile {
 
     /// Of a serial line, in pieces as they come where only the language itself separates its frames.
     pub(super) fn of(&self, kind: FrameKind) -> Tap {
-        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1, the others the next two.
+        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1, the others the next three.
         match kind {
             FrameKind::Rtu | FrameKind::Tcp => self.tap(147, Splitting::Rtu, None),
             FrameKind::Vesc => self.tap(149, Splitting::None, None),
             FrameKind::Dynamixel => self.tap(150, Splitting::None, None),
+            FrameKind::Lines => self.tap(151, Splitting::None, None),
         }
     }
 

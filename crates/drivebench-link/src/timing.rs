@@ -93,6 +93,11 @@ impl LineTiming {
         (asked + out, complete.checked_sub(back).map_or(answered, |begun| answered.min(begun)))
     }
 
+    /// Longest time of so many answers that follow one another.
+    pub(super) fn answers(&self, count: u32) -> Duration {
+        count * self.reply
+    }
+
     pub(super) const fn network_delay(&self) -> Duration {
         self.network
     }

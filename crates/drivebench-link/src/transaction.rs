@@ -295,6 +295,10 @@ impl Reception {
     /// Whether bytes behind a reply are no loss of synchronisation, and counts them then: one copy of it, whose contents are those of
     /// the reply whichever of both is the older; or a few bytes none of which can begin another reply of the unit.
     fn is_harmless_after(&mut self, reply: &[u8], behind: &[u8]) -> bool {
+        // The second half of the end of a line.
+        if self.kind == FrameKind::Lines {
+            return behind.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
+        }
         let Some(unit) = reply.first().filter(|_| self.kind == FrameKind::Rtu) else {
             return false;
         };

@@ -98,6 +98,8 @@ pub struct ForeignDrive {
     switched_on_s: f64,
     as_set_s: f64,
     seq: u16,
+    /// The number that a host has written to prove its lines.
+    scratch: String,
     /// Without power, and under control from its keypad, by the configuration.
     faults: (bool, bool),
     is_missing: bool,
@@ -143,6 +145,7 @@ impl ForeignDrive {
             accepted: VecDeque::new(),
             switched_on_s: 0.0,
             seq: 0,
+            scratch: String::new(),
             faults: (false, false),
             is_missing: false,
         }
@@ -365,12 +368,13 @@ impl ForeignDrive {
     /// The command that follows from the references.
     fn reference(&self) -> Control {
         let nameplate = &self.nameplate;
-        let references = self.map.set_points.iter().filter(|p| !p.is_word());
+        let references = self.map.set_points.iter().filter(|p| p.keys.quantity.moves());
         let written = references.filter_map(|point| Some((point, self.value(point)?)));
         // Of several references the one that is not zero, as the drive's own selection would be.
         let chosen = written.reduce(|a, b| if a.1.abs() >= b.1.abs() { a } else { b });
         let Some((point, value)) = chosen else {
-            let has_reference = self.map.set_points.iter().any(|p| !p.is_word());
+            let mut points = self.map.set_points.iter();
+            let has_reference = points.any(|point| point.keys.quantity.moves());
             // Share of the rated speed with which a drive jogs whose profile has no reference.
             let jog = 0.1 * nameplate.rated_speed_rad_s;
             return Control::Speed(if has_reference { 0.0 } else { jog });

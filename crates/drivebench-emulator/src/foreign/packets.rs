@@ -1,10 +1,11 @@
-//! Drives whose language is packets: VESC and Dynamixel, as the makers' documents describe them.
+//! Drives whose language is packets: VESC and Dynamixel, as the makers' documents describe them; and lines of text.
 //!
 //! The register profile says where each value lies; framing, check sums and the order of the fields are written here a second time,
 //! without code of the host, so that two implementations check each other.
 
 use super::ForeignDrive;
-use drivebench_link::register_map::Layout;
+use super::registers::{bits, number_of};
+use drivebench_link::register_map::{Kind, Layout};
 use drivebench_link::{CellTable, KickedBy, Protocol};
 
 /// Bytes of each selected value of a VESC, by its bit (commands.c).
@@ -29,6 +30,13 @@ pub(crate) struct PacketReceiver {
 impl PacketReceiver {
     /// Takes a byte; the body of the packet that it ends: the payload of a VESC's, or id, instruction and parameters.
     pub(crate) fn push(&mut self, protocol: Protocol, byte: u8) -> Option<Vec<u8>> {
+        if protocol == Protocol::Lines {
+            if !matches!(byte, b'\r' | b'\n') {
+                self.bytes.push(byte);
+                return None;
+            }
+            return Some(std::mem::take(&mut self.bytes)).filter(|line| !line.is_empty());
+        }
         self.bytes.push(byte);
         loop {
             let whole = match protocol {
@@ -119,8 +127,90 @@ impl ForeignDrive {
     ) -> Option<Vec<u8>> {
         match self.map.protocol {
             Protocol::Vesc => self.answer_vesc(body, may_command),
+            Protocol::Lines => self.answer_line(body, may_command),
             _ => self.answer_dynamixel(body, may_command),
         }
+    }
+
+    /// What a line of text is answered with, by the templates of the profile.
+    fn answer_line(
+        &mut self,
+        body: &[u8],
+        may_command: &mut dyn FnMut() -> bool,
+    ) -> Option<Vec<u8>> {
+        let map = std::sync::Arc::clone(&self.map);
+        let grammar = map.lines.as_deref()?;
+        let mut line = std::str::from_utf8(body).ok()?.trim();
+        if grammar.checksum {
+            let (text, sum) = line.rsplit_once('*')?;
+            // A line with another sum is ignored without an answer.
+            (text.bytes().fold(0, |sum, byte| sum ^ byte) == sum.parse::<u8>().ok()?)
+                .then_some(())?;
+            line = text.trim_end();
+        }
+        let [write, read, answer] = &grammar.scratch;
+        let reply = if let Some(number) = in_template(write, line) {
+            number.clone_into(&mut self.scratch);
+            grammar.ack.clone()
+        } else if line == read {
+            Some(answer.replace("{}", &self.scratch))
+        } else {
+            let known = grammar.lines.iter().enumerate().find_map(|(at, known)| {
+                let value = in_template(&known.send, line)?;
+                Some((CellTable::Lines(1 << at), known, value.to_owned()))
+            });
+            match known {
+                Some((table, known, value))
+                    if map.set_points.iter().any(|point| point.location.table == table) =>
+                {
+                    if may_command() {
+                        self.take_number(table, &value);
+                    }
+                    Some(known.answer.clone())
+                }
+                Some((table, known, _)) => Some(self.answer_of(table, &known.answer)),
+                None => grammar.errors.first().cloned(),
+            }
+        };
+        let reply = reply.filter(|reply| !reply.is_empty())?;
+        let sum = reply.bytes().fold(0, |sum, byte| sum ^ byte);
+        let sum = if grammar.checksum { format!("*{sum}") } else { String::new() };
+        Some(format!("{reply}{sum}\r\n").into_bytes())
+    }
+
+    /// A set-point as text.
+    fn take_number(&mut self, table: CellTable, value: &str) {
+        let map = std::sync::Arc::clone(&self.map);
+        let point = map.set_points.iter().find(|point| point.location.table == table);
+        // A line without a number is a command for itself.
+        let value = if value.is_empty() { "0" } else { value };
+        let (Some(point), Ok(value)) = (point, value.parse::<f64>()) else {
+            return;
+        };
+        let location = point.location;
+        let [b3, b2, b1, b0] = bits(location.layout.kind, value).to_be_bytes();
+        self.written(location.address, u16::from_be_bytes([b3, b2]));
+        self.written(location.address + 1, u16::from_be_bytes([b1, b0]));
+        self.apply_write(location.address, 2);
+    }
+
+    /// The answer to a line: each hole the value of the signal that stands there.
+    fn answer_of(&mut self, table: CellTable, template: &str) -> String {
+        let map = std::sync::Arc::clone(&self.map);
+        let mut pieces = template.split("{}");
+        let mut text = pieces.next().unwrap_or_default().to_owned();
+        for (hole, piece) in (0..).zip(pieces) {
+            let mut signals = map.signals.iter().map(|signal| signal.location);
+            let at = signals.find(|at| at.table == table && at.address == 2 * hole);
+            let kind = at.map_or(Kind::F32, |at| at.layout.kind);
+            let cells =
+                [2 * hole, 2 * hole + 1].map(|cell| self.register(table, cell).unwrap_or(0));
+            let number = number_of(kind, u32::from(cells[0]) << 16 | u32::from(cells[1]));
+            let number =
+                if kind == Kind::F32 { format!("{number:.6}") } else { number.to_string() };
+            text.extend([&number, piece]);
+        }
+        text
     }
 
     fn answer_vesc(
@@ -230,7 +320,7 @@ impl ForeignDrive {
         let map = std::sync::Arc::clone(&self.map);
         let mut points = map.set_points.iter().filter(|point| point.location.address == address);
         // After its watchdog has stopped it, goals are refused until that is cleared.
-        if is_lapsed && points.any(|point| !point.is_word()) {
+        if is_lapsed && points.any(|point| point.keys.quantity.moves()) {
             return 4;
         }
         for (address, byte) in (address..).zip(data) {
@@ -252,6 +342,14 @@ impl ForeignDrive {
         let signals = self.map.signals.iter().map(|signal| signal.location);
         let ends = signals.filter(|at| at.table == table).map(|at| at.address + at.layout.cells());
         ends.max()
+    }
+}
+
+/// What stands in the one hole of a template, or nothing where it has none and is the line.
+fn in_template<'a>(template: &str, line: &'a str) -> Option<&'a str> {
+    match template.split_once("{}") {
+        Some((before, behind)) => line.strip_prefix(before)?.strip_suffix(behind),
+        None => (template == line).then_some(""),
     }
 }
 

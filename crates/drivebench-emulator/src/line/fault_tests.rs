@@ -63,7 +63,7 @@ fn kinds_on(protocol: Protocol) -> Vec<FaultKind> {
         Protocol::ModbusRtu | Protocol::ModbusRtuOverTcp => KINDS.to_vec(),
         Protocol::ModbusTcp => KINDS.into_iter().filter(|kind| !changes_bytes(kind)).collect(),
         Protocol::Stream => KINDS[..13].to_vec(),
-        Protocol::Vesc | Protocol::Dynamixel => Vec::new(),
+        Protocol::Vesc | Protocol::Dynamixel | Protocol::Lines => Vec::new(),
     }
 }
 
@@ -215,7 +215,7 @@ impl FarEnd for Observed {
                 let transaction = u16::from_be_bytes([bytes[0], bytes[1]]);
                 tcp::encode_frame(transaction, UNIT, answer).to_vec()
             }
-            Protocol::Stream | Protocol::Vesc | Protocol::Dynamixel => answer.clone(),
+            _ => answer.clone(),
         };
         let is_clean = match sent.as_slice() {
             [] => expected.is_empty(),

@@ -1,6 +1,7 @@
 //! Framings: which bytes on the line answer the one outstanding request, and which do not. One file each; this one dispatches.
 
 mod dynamixel;
+mod lines;
 mod modbus;
 mod vesc;
 
@@ -14,6 +15,8 @@ use super::exchange::NoData;
 use super::settings::Protocol;
 use super::unexpected::Unexpected;
 
+pub(super) use self::lines::{Awaited, LINE_CELLS};
+pub use self::lines::{Grammar, Line};
 pub(super) use self::vesc::width as fields_width;
 pub(super) use modbus::{
     begins_with_rtu, read_bytes, read_write_bytes, rtu_frame_len, write_bytes,
@@ -26,6 +29,7 @@ pub(super) enum FrameKind {
     Tcp,
     Vesc,
     Dynamixel,
+    Lines,
 }
 
 impl FrameKind {
@@ -34,6 +38,7 @@ impl FrameKind {
         match protocol {
             Protocol::Vesc => Self::Vesc,
             Protocol::Dynamixel => Self::Dynamixel,
+            Protocol::Lines => Self::Lines,
             _ => Self::Rtu,
         }
     }
@@ -61,8 +66,8 @@ impl FrameKind {
         match self {
             Self::Vesc => vesc::request(turn, number),
             Self::Dynamixel => dynamixel::request(unit, turn),
-            // The client of tokio-modbus makes these.
-            Self::Rtu | Self::Tcp => Vec::new(),
+            // The client of tokio-modbus makes these, and the grammar of a profile those.
+            Self::Rtu | Self::Tcp | Self::Lines => Vec::new(),
         }
     }
 
@@ -80,7 +85,7 @@ impl FrameKind {
         match self {
             Self::Vesc => vesc::cells(reply, turn),
             Self::Dynamixel => dynamixel::cells(reply, turn),
-            Self::Rtu | Self::Tcp => Ok(Vec::new()),
+            Self::Rtu | Self::Tcp | Self::Lines => Ok(Vec::new()),
         }
     }
 
@@ -90,6 +95,7 @@ impl FrameKind {
             Self::Rtu | Self::Tcp => modbus::bytes(turn),
             Self::Vesc => vesc::bytes(turn),
             Self::Dynamixel => dynamixel::bytes(turn),
+            Self::Lines => (0, 0),
         }
     }
 }
@@ -165,6 +171,8 @@ pub(super) struct Expected {
     pub(super) request: Vec<u8>,
     /// Bytes that the reply must echo as well: the number of its own command.
     pub(super) echo: Option<Echo>,
+    /// The lines of text that it consists of.
+    pub(super) lines: Awaited,
     /// Requests before it, and whether they were answered: what answers one of these is an old reply and not a stranger's.
     pub(super) earlier: VecDeque<(Vec<u8>, bool)>,
     /// This line is known to return requests.
@@ -187,6 +195,7 @@ impl Expected {
     /// The outstanding request is over.
     pub(super) fn retire(&mut self, is_answered: bool) {
         self.echo = None;
+        self.lines = Awaited::default();
         if self.request.is_empty() {
             return;
         }
@@ -212,6 +221,7 @@ impl Code {
             FrameKind::Rtu | FrameKind::Tcp => modbus::code_of(kind, frame),
             FrameKind::Vesc => vesc::code_of(frame),
             FrameKind::Dynamixel => dynamixel::code_of(frame),
+            FrameKind::Lines => None,
         }
     }
 
@@ -269,5 +279,6 @@ pub(super) fn search(
         FrameKind::Tcp => modbus::search_tcp(expected, received),
         FrameKind::Vesc => Ok(vesc::search(expected, received)),
         FrameKind::Dynamixel => Ok(dynamixel::search(expected, received)),
+        FrameKind::Lines => Ok(lines::search(expected, received)),
     }
 }

@@ -211,6 +211,7 @@ const fn table_name(table: CellTable) -> &'static str {
         CellTable::Bytes => "byte",
         CellTable::Fields(_) => "field",
         CellTable::Reply(_) => "reply",
+        CellTable::Lines(_) => "line",
         CellTable::Computed => "computed",
     }
 }

@@ -2,12 +2,13 @@
 
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 use super::schema::{SetPointKeys, SignalKeys, WatchdogKeys};
 use super::terms::{Converter, Device, Quantity, Rates, Resync, Unit};
 use super::value::Layout;
 use crate::cell_bus::{CellTable, Put, ReadRequest};
-use crate::framing::PROOF_WRITE;
+use crate::framing::{Grammar, PROOF_WRITE};
 use crate::settings::{Protocol, Trust};
 use drivebench_model::plant::effect::Tree;
 use drivebench_model::sample::Channel;
@@ -167,7 +168,7 @@ impl SetPoint {
 
     /// A reference that the program may set to zero by itself.
     pub fn is_reference(&self) -> bool {
-        !self.is_word() && !self.keys.nvm
+        self.keys.quantity.moves() && !self.keys.nvm
     }
 
     /// Its range with the sign that stands in another word.
@@ -300,6 +301,8 @@ pub struct RegisterMap {
     pub converter: Option<Converter>,
     /// Of the profile; a bench may carry the registers of Modbus over another of its kinds.
     pub protocol: Protocol,
+    /// Of `protocol = "lines"`.
+    pub lines: Option<Arc<Grammar>>,
     pub functions: Vec<u8>,
     pub max_read: u16,
     pub max_write: u16,
@@ -331,7 +334,7 @@ impl RegisterMap {
     /// The function that writes so many cells.
     pub fn write_function(&self, cells: usize) -> u8 {
         match self.protocol {
-            Protocol::Dynamixel => PROOF_WRITE,
+            Protocol::Dynamixel | Protocol::Lines => PROOF_WRITE,
             _ if cells == 1 && self.functions.contains(&6) => 6,
             _ => 16,
         }

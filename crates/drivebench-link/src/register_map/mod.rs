@@ -20,6 +20,7 @@ mod schema;
 mod terms;
 mod value;
 
+pub use crate::framing::{Grammar, Line};
 pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(crate) use candidates::{confirms, expected_at_rest};
 pub use facts::{

@@ -3,7 +3,7 @@
 use super::facts::RegisterMap;
 use super::terms::PollRate;
 use crate::cell_bus::{CellTable, ReadRequest};
-use crate::framing::fields_width;
+use crate::framing::{LINE_CELLS, fields_width};
 
 /// One read request and the signals (by position in the map) that it serves.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -28,6 +28,15 @@ pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
             let mask = mask | bit;
             let table = CellTable::Fields(mask);
             block.read = ReadRequest { table, address: 0, count: fields_width(mask) };
+            block.signals.push(index);
+            continue;
+        }
+        if let (CellTable::Lines(line), Some(block)) = (read.table, blocks.last_mut())
+            && let CellTable::Lines(mask) = block.read.table
+        {
+            let mask = mask | line;
+            let count = LINE_CELLS * u16::try_from(mask.count_ones()).unwrap_or_default();
+            block.read = ReadRequest { table: CellTable::Lines(mask), address: 0, count };
             block.signals.push(index);
             continue;
         }

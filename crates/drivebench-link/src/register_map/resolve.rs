@@ -8,13 +8,14 @@ mod commands;
 mod place;
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Display;
 use std::ops::Range;
+use std::sync::Arc;
 
 use toml::Spanned;
 
-use self::place::{Places, Requests};
+use self::place::{Places, Requests, set_point_line, signal_line};
 use super::address::{Base, Numbering};
 use super::facts::{
     Commands, Formula, Location, Numbers, PerTurn, RegisterMap, SetPoint, Signal, Supervision,
@@ -27,6 +28,7 @@ use super::schema::{
 use super::terms::{DeviceKind, PollRate, Quantity, Unit};
 use super::value::{CellSize, Kind, Layout};
 use crate::cell_bus::CellTable;
+use crate::framing::{Grammar, Line};
 use crate::settings::{DriveLimits, LinkSettings, Protocol, check_ranges};
 use drivebench_model::config_text::{self, ConfigError, help_for_unknown};
 use drivebench_model::plant::effect::{Mistake, read_expression};
@@ -62,8 +64,17 @@ fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimit
         numbering: Numbering { base: Base::Zero, formula: None },
         link: keys.link.get_ref(),
         counts_per_turn: keys.device.counts_per_turn,
+        lines: lines(&keys),
     };
     reader.map(&keys)
+}
+
+/// Every line of the profile once, by what is sent and its answer.
+fn lines(keys: &ProfileFile) -> Vec<(String, String)> {
+    let signals = keys.signals.values().filter_map(|keys| signal_line(keys.get_ref()));
+    let points = keys.setpoints.values().filter_map(|keys| set_point_line(keys.get_ref()));
+    let all: BTreeSet<(String, String)> = signals.chain(points).collect();
+    all.into_iter().collect()
 }
 
 struct Reader<'a> {
@@ -72,6 +83,7 @@ struct Reader<'a> {
     numbering: Numbering,
     link: &'a LinkKeys,
     counts_per_turn: Option<u32>,
+    lines: Vec<(String, String)>,
 }
 
 /// A part of the file, for what is wrong in it.
@@ -124,6 +136,7 @@ impl Reader<'_> {
             device: file.device.clone(),
             converter: file.converter.as_ref().map(|c| *c.get_ref()),
             protocol: link.protocol,
+            lines: self.grammar(file)?,
             functions: link.functions.clone(),
             max_read: requests.max_read,
             max_write: requests.max_write,
@@ -214,8 +227,46 @@ impl Reader<'_> {
         Ok(requests)
     }
 
-    const fn places(&self) -> Places<'_> {
-        Places { link: self.link, numbering: self.numbering }
+    /// The language of lines, with the types of the numbers in them.
+    fn grammar(&self, file: &ProfileFile) -> Result<Option<Arc<Grammar>>, ConfigError> {
+        let part = self.part(file.link.span(), "");
+        let is_lines = self.link.protocol == Protocol::Lines;
+        let message = "protocol \"lines\" needs [link.lines], and no other has one";
+        part.require(is_lines == self.link.lines.is_some(), "protocol", message)?;
+        let Some(keys) = &self.link.lines else {
+            return Ok(None);
+        };
+        let line = |(send, answer): &(String, String)| {
+            let set_points = file.setpoints.values().map(Spanned::get_ref);
+            let mut set_points = set_points.filter(|keys| keys.request.as_ref() == Some(send));
+            let set_point = set_points.next();
+            let mut kinds = vec![Kind::F32; answer.matches("{}").count()];
+            for keys in file.signals.values().map(Spanned::get_ref) {
+                let is_of_it = signal_line(keys).as_ref() == Some(&(send.clone(), answer.clone()));
+                if let Some(kind) =
+                    kinds.get_mut(usize::from(keys.hole.unwrap_or(0))).filter(|_| is_of_it)
+                {
+                    *kind = keys.kind;
+                }
+            }
+            kinds.splice(0..0, set_point.map(|keys| keys.kind));
+            // As a drive prints its own floats.
+            let digits = set_point.and_then(|keys| keys.digits).unwrap_or(6).into();
+            Line { send: send.clone(), answer: answer.clone(), kinds, digits }
+        };
+        Ok(Some(Arc::new(Grammar {
+            end: keys.end.clone().unwrap_or_else(|| "\n".to_owned()),
+            checksum: keys.checksum,
+            scratch: keys.scratch.clone(),
+            ack: keys.ack.clone(),
+            errors: keys.errors.clone(),
+            cut_at: keys.cut_at,
+            lines: self.lines.iter().map(line).collect(),
+        })))
+    }
+
+    fn places(&self) -> Places<'_> {
+        Places { link: self.link, numbering: self.numbering, lines: &self.lines }
     }
 
     fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Result<Signal, ConfigError> {

@@ -77,6 +77,27 @@ pub(super) struct LinkKeys {
     pub(super) deadline_ms: Option<f64>,
     pub(super) resync: Option<Resync>,
     pub(super) nvm_cycles: Option<u32>,
+    pub(super) lines: Option<LineKeys>,
+}
+
+/// `[link.lines]`: how a language of lines looks.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct LineKeys {
+    /// Of a request; default: a line feed.
+    pub(super) end: Option<String>,
+    /// ` *N` behind each line, N the exclusive or of all before it.
+    #[serde(default)]
+    pub(super) checksum: bool,
+    /// Writes a number, asks for it, answers it.
+    pub(super) scratch: [String; 3],
+    /// Acknowledges a written number.
+    pub(super) ack: Option<String>,
+    /// Whole lines by which the drive refuses.
+    #[serde(default)]
+    pub(super) errors: Vec<String>,
+    /// Characters of a number at which the drive cuts it off.
+    pub(super) cut_at: Option<usize>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -102,6 +123,10 @@ pub struct SignalKeys {
     pub(super) field: Option<u8>,
     /// VESC: a command without parameters, and the byte of its reply, counted from the one behind the command.
     pub(super) reply: Option<[u16; 2]>,
+    /// Lines: the line that asks, its answer (default: one number), and which number of that.
+    pub(super) request: Option<String>,
+    pub(super) answer: Option<String>,
+    pub(super) hole: Option<u16>,
     /// 3: holding, 4: input register.
     pub(super) function: Option<u8>,
     #[serde(rename = "type")]
@@ -166,6 +191,9 @@ impl SignalKeys {
             can: None,
             field: None,
             reply: None,
+            request: None,
+            answer: None,
+            hole: None,
             function: None,
             kind: Kind::F32,
             word_order: None,
@@ -204,6 +232,10 @@ pub struct SetPointKeys {
     pub(super) can: Option<[i64; 2]>,
     /// VESC: the command that takes the value.
     pub(super) command: Option<u8>,
+    /// Lines: the line with `{}` in the place of the value, digits behind its point, and what acknowledges it.
+    pub(super) request: Option<String>,
+    pub(super) digits: Option<u8>,
+    pub(super) answer: Option<String>,
     /// 6 or 16.
     pub(super) function: Option<u8>,
     #[serde(rename = "type")]

@@ -17,6 +17,18 @@ pub(super) type Wrong = (&'static str, String);
 pub(super) struct Places<'a> {
     pub(super) link: &'a LinkKeys,
     pub(super) numbering: Numbering,
+    /// Lines of the profile: what is sent, and its answer.
+    pub(super) lines: &'a [(String, String)],
+}
+
+/// What is sent for a signal, and its answer.
+pub(super) fn signal_line(keys: &SignalKeys) -> Option<(String, String)> {
+    Some((keys.request.clone()?, keys.answer.clone().unwrap_or_else(|| "{}".to_owned())))
+}
+
+/// The same of a set-point.
+pub(super) fn set_point_line(keys: &SetPointKeys) -> Option<(String, String)> {
+    Some((keys.request.clone()?, keys.answer.clone().unwrap_or_default()))
 }
 
 impl Places<'_> {
@@ -25,7 +37,20 @@ impl Places<'_> {
     }
 
     fn cell(self) -> CellSize {
-        if self.is_modbus() { CellSize::Register } else { CellSize::Byte }
+        let words = self.is_modbus() || self.link.protocol == Protocol::Lines;
+        if words { CellSize::Register } else { CellSize::Byte }
+    }
+
+    /// Position of a line of the profile.
+    fn line(self, wanted: Option<&(String, String)>, layout: Layout) -> Result<u16, Wrong> {
+        if layout.cells() != 2 {
+            let message =
+                "this type is not allowed (expected f32, i32 or u32 for a number of a line)";
+            return Err(("type", message.to_owned()));
+        }
+        let at = self.lines.iter().position(|line| Some(line) == wanted);
+        let at = at.and_then(|at| u16::try_from(at).ok()).filter(|at| *at < 64);
+        at.ok_or_else(|| ("request", "request is missing".to_owned()))
     }
 
     /// The order where a profile gives none: the protocol's own.
@@ -40,6 +65,20 @@ impl Places<'_> {
     pub(super) fn signal(self, keys: &SignalKeys, layout: Layout) -> Result<Location, Wrong> {
         let layout = Layout { cell: self.cell(), ..layout };
         let given = (keys.field, keys.reply);
+        if self.link.protocol == Protocol::Lines {
+            let line = self.line(signal_line(keys).as_ref(), layout)?;
+            let holes = self.lines[usize::from(line)].1.matches("{}").count();
+            let hole = keys.hole.unwrap_or(0);
+            if usize::from(hole) >= holes.min(8) {
+                let message =
+                    format!("hole {hole} is not allowed (the answer has {holes}, counted from 0)");
+                return Err(("hole", message));
+            }
+            return Ok(Location { table: CellTable::Lines(1 << line), address: 2 * hole, layout });
+        }
+        if keys.request.is_some() {
+            return Err(("request", "request is a key of protocol \"lines\"".to_owned()));
+        }
         if self.link.protocol == Protocol::Vesc {
             let (table, address) = match given {
                 (Some(bit), None) => (field(bit, layout)?, 0),
@@ -80,6 +119,11 @@ impl Places<'_> {
         layout: Layout,
     ) -> Result<(Location, u8), Wrong> {
         let layout = Layout { cell: self.cell(), ..layout };
+        if self.link.protocol == Protocol::Lines {
+            let line = self.line(set_point_line(keys).as_ref(), layout)?;
+            let table = CellTable::Lines(1 << line);
+            return Ok((Location { table, address: 2 * line, layout }, PROOF_WRITE));
+        }
         if self.link.protocol == Protocol::Vesc {
             let command =
                 keys.command.ok_or_else(|| ("command", "command is missing".to_owned()))?;
@@ -161,6 +205,7 @@ impl Requests {
         let resync = match link.protocol {
             Protocol::Vesc => Resync::Tid,
             Protocol::Dynamixel => Resync::Length,
+            Protocol::Lines => Resync::None,
             _ => link.resync.ok_or_else(|| missing("resync"))?,
         };
         if !link.protocol.is_modbus() {
