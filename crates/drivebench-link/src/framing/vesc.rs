@@ -23,9 +23,8 @@ const LEAST: u32 = 1 << 15;
 /// The upper eight bits of the mask carry the number of the request; no firmware from 4.02 to 7.01 gives them a meaning. They come
 /// round after 256 requests, half a second at 500 Hz, when no late reply is expected any more.
 const NUMBER_SHIFT: u32 = 24;
-/// Bytes of a packet around a payload of up to 255 bytes, and of that of the selected values before them.
+/// Bytes of a packet around a payload of up to 255 bytes; so many are also command and mask in front of the selected values.
 const AROUND: usize = 5;
-const HEAD: usize = 5;
 
 /// CRC-16 of XMODEM: polynomial 0x1021, initial value 0.
 fn crc16(bytes: &[u8]) -> u16 {
@@ -89,7 +88,7 @@ pub(super) fn request(turn: Turn<'_>, number: u32) -> Vec<u8> {
 /// Bytes of a turn on the line, and of its reply.
 pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
     let (command, mask) = wanted(turn.read);
-    let values = AROUND + HEAD + usize::from(width(mask));
+    let values = 2 * AROUND + usize::from(width(mask));
     // The reply to a command carries the command itself, and up to the last byte that is wanted.
     let reply = match (command, turn.read) {
         (Some(_), Some(read)) => AROUND + 2 + usize::from(read.address + read.count),
@@ -99,7 +98,7 @@ pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
 }
 
 /// Command and mask of a request, by its packets.
-fn asked(request: &[u8]) -> (Option<u8>, Option<[u8; HEAD]>) {
+fn asked(request: &[u8]) -> (Option<u8>, Option<[u8; AROUND]>) {
     let (mut command, mut mask, mut at) = (None, None, 0);
     while let Some((payload, length)) = request.get(at..).and_then(payload) {
         match payload {
@@ -120,7 +119,7 @@ pub(super) fn code_of(frame: &[u8]) -> Option<Code> {
 pub(super) fn search(expected: &Expected, received: &[u8]) -> Search {
     let mut found = Search::default();
     let (command, mask) = asked(&expected.request);
-    let values = mask.map(|[_, mask @ ..]| HEAD + usize::from(width(u32::from_be_bytes(mask))));
+    let values = mask.map(|[_, mask @ ..]| AROUND + usize::from(width(u32::from_be_bytes(mask))));
     let mut began = None;
     let mut at = 0;
     while at < received.len() {
