@@ -195,7 +195,12 @@ fn signal_text(signal: &ProbedSignal) -> String {
     let value = signal.value.map_or_else(|| "none".to_owned(), quantity);
     let raw = signal.raw.as_ref().map_or_else(
         || "-".to_owned(),
-        |words| words.iter().map(|word| format!("{word:04x}")).collect::<Vec<_>>().join(" "),
+        |cells| {
+            // A register has two bytes, another cell one.
+            let digits = if matches!(signal.table, "byte" | "field" | "reply") { 2 } else { 4 };
+            let cells = cells.iter().map(|cell| format!("{cell:0digits$x}"));
+            cells.collect::<Vec<_>>().join(" ")
+        },
     );
     let judgement = match (signal.plausible, &signal.missing, signal.expected) {
         (Some(false), Some(missing), _) => format!("not plausible: {missing}"),

@@ -8,7 +8,7 @@
 //! Behind each FF FF FD within instruction and parameters an FD is stuffed, which the length counts. A status carries nothing that
 //! names its request but the id and its length.
 
-use super::{Code, Expected, PROOF_WRITE, Search, Turn};
+use super::{Code, Expected, PROOF_WRITE, Search, Turn, crc16};
 use crate::exchange::NoData;
 use crate::unexpected::Unexpected;
 
@@ -21,12 +21,8 @@ const AROUND: usize = 9;
 /// The bit of an error that says a hardware alert is set, beside data that are good.
 const ALERT: u8 = 0x80;
 
-/// Polynomial 0x8005, initial value 0, highest bit first.
-fn crc16(bytes: &[u8]) -> u16 {
-    bytes.iter().fold(0, |crc, byte| {
-        let next = crc ^ (u16::from(*byte) << 8);
-        (0..8).fold(next, |crc, _| if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x8005 })
-    })
+fn checksum(bytes: &[u8]) -> u16 {
+    crc16(0x8005, bytes)
 }
 
 pub(super) fn packet(id: u8, body: &[u8]) -> Vec<u8> {
@@ -39,7 +35,7 @@ pub(super) fn packet(id: u8, body: &[u8]) -> Vec<u8> {
     }
     let length = u16::try_from(stuffed.len() + 2).unwrap_or(u16::MAX).to_le_bytes();
     let packet = [&HEADER[..], &[id], &length, &stuffed].concat();
-    let crc = crc16(&packet).to_le_bytes();
+    let crc = checksum(&packet).to_le_bytes();
     [&packet[..], &crc].concat()
 }
 
@@ -48,7 +44,7 @@ fn body(bytes: &[u8]) -> Option<(u8, Vec<u8>, usize)> {
     let [id, low, high] = *bytes.strip_prefix(&HEADER)?.first_chunk()?;
     let end = 7 + usize::from(u16::from_le_bytes([low, high]));
     let (packet, crc) = bytes.get(..end)?.split_last_chunk::<2>()?;
-    if crc16(packet) != u16::from_le_bytes(*crc) {
+    if checksum(packet) != u16::from_le_bytes(*crc) {
         return None;
     }
     let mut body = Vec::with_capacity(packet.len());

@@ -268,6 +268,14 @@ impl Search {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unframeable;
 
+/// CRC of 16 bits, highest bit first, initial value 0, without a final inversion.
+fn crc16(polynomial: u16, bytes: &[u8]) -> u16 {
+    bytes.iter().fold(0, |crc, byte| {
+        let next = crc ^ (u16::from(*byte) << 8);
+        (0..8).fold(next, |crc, _| (crc << 1) ^ if crc & 0x8000 == 0 { 0 } else { polynomial })
+    })
+}
+
 /// Looks through everything received since the request went out.
 pub(super) fn search(
     kind: FrameKind,

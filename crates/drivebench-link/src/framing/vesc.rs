@@ -9,7 +9,7 @@
 //! The drive repeats the mask as it came. Its upper bits select nothing, so they carry the number of the request; and because it
 //! takes packets in order, the reply proves that the command before it has arrived.
 
-use super::{Code, Expected, Search, Turn};
+use super::{Code, Expected, Search, Turn, crc16};
 use crate::cell_bus::{CellTable, ReadRequest};
 use crate::exchange::NoData;
 use crate::unexpected::Unexpected;
@@ -26,12 +26,9 @@ const NUMBER_SHIFT: u32 = 24;
 /// Bytes of a packet around a payload of up to 255 bytes; so many are also command and mask in front of the selected values.
 const AROUND: usize = 5;
 
-/// CRC-16 of XMODEM: polynomial 0x1021, initial value 0.
-fn crc16(bytes: &[u8]) -> u16 {
-    bytes.iter().fold(0, |crc, byte| {
-        let next = crc ^ (u16::from(*byte) << 8);
-        (0..8).fold(next, |crc, _| if crc & 0x8000 == 0 { crc << 1 } else { (crc << 1) ^ 0x1021 })
-    })
+/// CRC-16 of XMODEM.
+fn checksum(bytes: &[u8]) -> u16 {
+    crc16(0x1021, bytes)
 }
 
 /// A packet around a payload of up to 512 bytes.
@@ -41,7 +38,7 @@ pub(super) fn packet(payload: &[u8]) -> Vec<u8> {
         [0, short] => &[2, short],
         [high, low] => &[3, high, low],
     };
-    [head, payload, &crc16(payload).to_be_bytes(), &[3]].concat()
+    [head, payload, &checksum(payload).to_be_bytes(), &[3]].concat()
 }
 
 /// The payload of the packet at the start of these bytes, and its length with all around it; `None` where none begins here, or it
@@ -54,7 +51,7 @@ fn payload(bytes: &[u8]) -> Option<(&[u8], usize)> {
     };
     let payload = bytes.get(begin..begin + length).filter(|payload| !payload.is_empty())?;
     let [high, low, end] = *bytes.get(begin + length..)?.first_chunk()?;
-    let is_whole = end == 3 && u16::from_be_bytes([high, low]) == crc16(payload);
+    let is_whole = end == 3 && u16::from_be_bytes([high, low]) == checksum(payload);
     is_whole.then_some((payload, begin + length + 3))
 }
 
@@ -209,7 +206,7 @@ mod tests {
             (packet(&[0; 255])[..2].to_vec(), packet(&[0; 256])[..3].to_vec()),
             (vec![2, 255], vec![3, 1, 0])
         );
-        assert_eq!(crc16(b"123456789"), 0x31C3);
+        assert_eq!(checksum(b"123456789"), 0x31C3);
     }
 
     #[test]

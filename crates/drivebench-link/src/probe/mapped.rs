@@ -189,7 +189,12 @@ fn signal(
         name: signal.name.clone(),
         unit,
         table: table_name(location.table),
-        address: location.address,
+        address: match location.table {
+            // A bit of the mask.
+            CellTable::Fields(bit) => u16::try_from(bit.trailing_zeros()).unwrap_or_default(),
+            CellTable::Lines(line) => u16::try_from(line.trailing_zeros()).unwrap_or_default(),
+            _ => location.address,
+        },
         raw: picture.windows[index].here.clone(),
         value: reading.value(),
         missing,
