@@ -19,7 +19,7 @@ struct Numbering {
     kind: FrameKind,
     count: u32,
     random: u64,
-    /// Share of the replies with a fault, in 256ths.
+    /// Replies with a fault of 256.
     faulty: u64,
     pending: Vec<u8>,
     scratch: String,
