@@ -5,7 +5,7 @@
 
 use super::ForeignDrive;
 use super::registers::{bits, number_of};
-use drivebench_link::register_map::{Kind, Layout};
+use drivebench_link::register_map::Kind;
 use drivebench_link::{CellTable, KickedBy, Protocol};
 
 /// Bytes of each selected value of a VESC, by its bit (commands.c).
@@ -355,15 +355,6 @@ fn in_template<'a>(template: &str, line: &'a str) -> Option<&'a str> {
 
 fn count(bytes: &[u8]) -> u16 {
     u16::try_from(bytes.len()).unwrap_or(u16::MAX)
-}
-
-/// A cell of a pattern of 32 bits, counted as the drive has them.
-pub(super) fn byte_of(pattern: u32, layout: Layout, offset: u16) -> u8 {
-    let ordered = match layout.bytes {
-        drivebench_link::register_map::Order::HighFirst => layout.cells() - 1 - offset,
-        drivebench_link::register_map::Order::LowFirst => offset,
-    };
-    pattern.to_le_bytes()[usize::from(ordered)]
 }
 
 #[cfg(test)]

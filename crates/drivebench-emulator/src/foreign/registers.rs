@@ -2,7 +2,6 @@
 
 use std::f64::consts::{SQRT_2, TAU};
 
-use super::packets::byte_of;
 use super::{FIELD_A, ForeignDrive};
 use drivebench_link::CellTable;
 use drivebench_link::register_map::{
@@ -84,6 +83,15 @@ pub(super) fn bits(kind: Kind, raw: f64) -> u32 {
         Kind::I32 => u32::from_be_bytes((raw_whole as i32).to_be_bytes()),
         Kind::F32 => (raw as f32).to_bits(),
     }
+}
+
+/// A cell of a pattern of 32 bits, counted as the drive has them.
+fn byte_of(pattern: u32, layout: Layout, offset: u16) -> u8 {
+    let ordered = match layout.bytes {
+        Order::HighFirst => layout.cells() - 1 - offset,
+        Order::LowFirst => offset,
+    };
+    pattern.to_le_bytes()[usize::from(ordered)]
 }
 
 /// The bits of a counter that begins again after `span` counts.
