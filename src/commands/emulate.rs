@@ -24,7 +24,7 @@ use drivebench_link::{DriveProfile, Protocol};
 pub(super) struct Arguments {
     /// Emulator file, or the name of an embedded one; without it the ZK-22FC with a hidden effect
     emulator: Option<String>,
-    /// modbus-rtu, modbus-tcp, modbus-rtu-over-tcp or stream; without it that of the profile
+    /// Protocol that the drive has, as modbus-rtu, modbus-tcp, modbus-rtu-over-tcp or stream; without it that of the profile
     #[arg(long)]
     link: Option<String>,
     /// Path of the pseudo-terminal's symlink; without it one in the temporary folder
@@ -60,21 +60,14 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let guise = guise(&profile, arguments.watchdog_ms)?;
     let link = arguments.link.as_deref().unwrap_or_else(|| profile.link.protocol.name());
     let link = Protocol::named(link).ok_or_else(|| {
-        let headline = format!("link {link:?} is not known");
-        Failure::usage(headline, "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp, stream; a drive of another language has its own")
+        let names: Vec<&str> = Protocol::ALL.iter().map(|known| known.name()).collect();
+        Failure::usage(
+            format!("link {link:?} is not known"),
+            format!("known: {}", names.join(", ")),
+        )
     })?;
+    opening::check_protocol(&profile, link)?;
     if guise.is_some() {
-        let own = profile.link.protocol;
-        if !own.is_modbus() && link != own {
-            let headline = format!("{} speaks {own}, not {link}", profile.name);
-            return Err(Failure::usage(headline, "leave --link out"));
-        }
-        if link == Protocol::Stream {
-            return Err(Failure::usage(
-                opening::not_the_stream(&profile),
-                "allowed: modbus-rtu, modbus-tcp, modbus-rtu-over-tcp",
-            ));
-        }
         opening::announce(&profile, terminal);
     }
     let mystery = arguments.mystery.map(mystery::draw);

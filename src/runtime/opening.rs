@@ -62,20 +62,10 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     let (profile, text) = profile(&bench.drive.profile)?;
     bench.link.baud.get_or_insert(profile.link.baud);
     let language = profile.link.protocol;
-    if !language.is_modbus() && profile.registers.is_some() {
-        if ![Protocol::default(), language].contains(&bench.link.protocol) {
-            return Err(Failure::usage(
-                format!("{} does not speak {}", profile.name, bench.link.protocol),
-                format!("set link.protocol to {language}, or leave it out"),
-            ));
-        }
+    if !is_modbus_drive(&profile) && bench.link.protocol == Protocol::default() {
         bench.link.protocol = language;
     }
-    if profile.registers.is_some() && bench.link.protocol == Protocol::Stream {
-        let headline = not_the_stream(&profile);
-        let help = "set link.protocol to modbus-rtu, modbus-tcp or modbus-rtu-over-tcp";
-        return Err(Failure::usage(headline, help));
-    }
+    check_protocol(&profile, bench.link.protocol)?;
     if let (Protocol::ModbusRtuOverTcp, Port::Serial(path)) = (bench.link.protocol, bench.port()) {
         return Err(Failure::usage(
             format!("link.protocol is modbus-rtu-over-tcp, and {path} is a serial port"),
@@ -92,9 +82,28 @@ fn drive_profile(bench: &mut BenchFile) -> Result<(DriveProfile, String), Failur
     Ok((profile, text))
 }
 
-/// Only our own drive has the stream protocol.
-pub(crate) fn not_the_stream(profile: &DriveProfile) -> String {
-    format!("{} does not have the stream protocol", profile.name)
+/// Our own drive, or one of registers.
+fn is_modbus_drive(profile: &DriveProfile) -> bool {
+    profile.registers.is_none() || profile.link.protocol.is_modbus()
+}
+
+/// Refuses a protocol that the drive does not have: registers go over every kind of Modbus, our own drive has the stream as well, and
+/// a drive of another language has that alone.
+pub(crate) fn check_protocol(profile: &DriveProfile, protocol: Protocol) -> Result<(), Failure> {
+    let has = |protocol: &Protocol| match *protocol {
+        Protocol::Stream => profile.registers.is_none(),
+        protocol if is_modbus_drive(profile) => protocol.is_modbus(),
+        protocol => protocol == profile.link.protocol,
+    };
+    if has(&protocol) {
+        return Ok(());
+    }
+    let allowed: Vec<&str> =
+        Protocol::ALL.iter().filter(|known| has(known)).map(|p| p.name()).collect();
+    Err(Failure::usage(
+        format!("{} does not have the protocol {protocol}", profile.name),
+        format!("allowed: {}", allowed.join(", ")),
+    ))
 }
 
 /// Refuses a purpose for which the drive has not the signals.

@@ -189,6 +189,9 @@ fn a_mistake_is_answered_with_what_to_do() {
         ("run --seed -1", &["'-1'", "see drivebench run --help"]),
         ("run --seed abc", &["expected a whole number from 0"]),
         ("emulate --listen 1502", &["expected ADDRESS:PORT"]),
+        ("emulate --link vesc", &["own does not have the protocol vesc", "modbus-tcp", "stream"]),
+        ("emulate --profile vacon10 --link vesc", &["vacon10 does not", "allowed: modbus-rtu"]),
+        ("emulate --profile vesc-dc --link modbus-rtu", &["vesc-dc does not", "allowed: vesc"]),
         (
             "reproduce paper-a --json",
             &[
@@ -209,6 +212,10 @@ fn a_mistake_is_answered_with_what_to_do() {
     }
     let runs = &Runs::plain().fit;
     has(&refusal("tune --model {}", &[runs]), &["its model is ", "/model.toml"]);
+    let desk = Desk::new();
+    let bench = desk.put("vesc.toml", &BENCH.replace("modbus-rtu", "vesc"));
+    let said = refusal("run {} --port sim: --headless", &[&bench]);
+    has(&said, &["own does not have the protocol vesc", "allowed: modbus-rtu"]);
     let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
         // Only Linux has a disk that is always full.
         return;
