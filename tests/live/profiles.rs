@@ -77,7 +77,7 @@ fn our_emulator_with_another_profile_counts_as_emulator() {
     assert_eq!(desk.manifest()["identity"]["is_emulator"], true);
 }
 
-/// Drives that speak no Modbus: a sequence of voltages over a real pseudo-terminal.
+/// Drives of other languages than Modbus: a sequence of voltages over a real pseudo-terminal.
 fn drives_of_other_languages_take_voltages() {
     for (profile, ready) in [
         ("vesc-dc", "unit=1 baud=115200 profile=vesc-dc\n"),

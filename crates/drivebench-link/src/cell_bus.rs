@@ -82,7 +82,7 @@ impl ReadRequest {
             CellTable::Bytes => format!("read {count} bytes at {address}"),
             CellTable::Fields(mask) => format!("read the values of mask {mask:#010x}"),
             CellTable::Reply(command) => format!("command {command}"),
-            CellTable::Lines(mask) => format!("ask {} lines of the profile", mask.count_ones()),
+            CellTable::Lines(mask) => format!("read {} lines of the profile", mask.count_ones()),
             CellTable::Computed => "nothing".to_owned(),
         }
     }

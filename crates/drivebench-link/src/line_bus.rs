@@ -37,7 +37,7 @@ pub(super) trait Language: Send {
         query: Query<'_>,
     ) -> Result<Answer<Vec<u16>>>;
 
-    /// A turn as it goes out, so that its reply is told from those of the turns before it.
+    /// A turn as it goes out, with what distinguishes its reply from those of the turns before it.
     fn prepared<'a>(&mut self, _kind: FrameKind, turn: Turn<'a>) -> Turn<'a> {
         turn
     }

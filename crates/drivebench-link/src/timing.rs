@@ -78,8 +78,8 @@ impl LineTiming {
     }
 
     /// Between which instants the drive acted on a request: it has all of it, and its reply has not begun. An adapter hands bytes on
-    /// in pieces, so the first byte of a reply came earlier than its piece by the time of those behind it. A line that was quicker
-    /// than its baud rate is none (a pseudo-terminal), and says nothing of the sort.
+    /// in pieces, so the first byte of a reply came earlier than its piece by the time of those behind it. An exchange
+    /// quicker than the baud rate was on no such line (a pseudo-terminal): it keeps the instants of the host.
     pub(super) fn acted(
         &self,
         (request_bytes, reply_bytes): (usize, usize),

@@ -210,7 +210,7 @@ fn every_profiles_machine_passes_a_pulse_with_pauses() {
             let report = match checked(link, &mut clock, &nameplate, &profile, 10.0, waivers) {
                 // Its profile has no set-point in SI units.
                 Err(CheckError::Link(LinkError::Refused(..))) => continue,
-                // A host that pauses for longer than the drive's watchdog says so.
+                // A pause of the host longer than the drive's watchdog is reported.
                 Err(CheckError::Link(LinkError::Sequence { reason, .. })) if pause_s > 0.0 => {
                     assert!(reason.contains("watchdog of 0.2 s"), "{name}: {reason}");
                     continue;

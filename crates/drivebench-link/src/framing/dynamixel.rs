@@ -18,7 +18,7 @@ const WRITE: u8 = 3;
 const STATUS: u8 = 0x55;
 /// Bytes around instruction and parameters: header, id, length, CRC.
 const AROUND: usize = 9;
-/// The bit of an error that says a hardware alert is set, beside data that are good.
+/// Bit of an error: a hardware alert is set. The data are valid nevertheless.
 const ALERT: u8 = 0x80;
 
 fn checksum(bytes: &[u8]) -> u16 {
@@ -94,7 +94,7 @@ fn status(body: &[u8]) -> Option<(u8, &[u8])> {
     }
 }
 
-/// A request as the proof of synchronisation knows it: 3 reads so many cells, 2 writes.
+/// A reply by the function codes of the proof of synchronisation: 3 for a read, 2 for a write.
 pub(super) fn code_of(frame: &[u8]) -> Option<Code> {
     let (_, body, _) = body(frame)?;
     let (error, parameters) = status(&body)?;

@@ -22,7 +22,7 @@ pub struct Grammar {
     /// Ends a request.
     pub end: String,
     pub checksum: bool,
-    /// Writes a number, asks for it, and its answer: `{}` is the number.
+    /// Line that writes a number, line that reads it, and its answer: `{}` is the number.
     pub scratch: [String; 3],
     /// Acknowledges a written number; `None`: nothing does.
     pub ack: Option<String>,
@@ -53,11 +53,11 @@ pub(crate) struct Awaited {
     answers: Vec<String>,
 }
 
-/// One line that goes out, what answers it, and which line of the profile asks.
+/// One line that goes out, what answers it, and which line of the profile it is if its answer is read.
 struct Part {
     send: String,
     answer: String,
-    asks: Option<usize>,
+    reads: Option<usize>,
 }
 
 /// Cells that a line of the profile has among those of a block: two for each of up to eight numbers.
@@ -109,14 +109,14 @@ impl Grammar {
         }
     }
 
-    /// Writes a number and asks for it.
+    /// Writes a number and reads it.
     fn mark(&self, parts: &mut Vec<Part>, number: u32) {
         let number = number.to_string();
         let [write, read, answer] = &self.scratch;
         let part = |send: &str, answer: String| Part {
             send: send.replace(HOLE, &number),
             answer,
-            asks: None,
+            reads: None,
         };
         parts.push(part(write, self.ack.clone().unwrap_or_default()));
         parts.push(part(read, answer.replace(HOLE, &number)));
@@ -132,18 +132,18 @@ impl Grammar {
             && let Some(line) = self.lines.get(usize::from(put.address / 2))
         {
             let send = line.send.replace(HOLE, &line.value(put.cells));
-            parts.push(Part { send, answer: line.answer.clone(), asks: None });
+            parts.push(Part { send, answer: line.answer.clone(), reads: None });
         }
-        let mut seen: Vec<&str> = Vec::new();
-        for (at, line) in self.lines.iter().enumerate().filter(|(at, _)| is_asked(turn, *at)) {
-            if seen.contains(&line.answer.as_str()) {
+        let mut since_mark: Vec<&str> = Vec::new();
+        for (at, line) in self.lines.iter().enumerate().filter(|(at, _)| is_read(turn, *at)) {
+            if since_mark.contains(&line.answer.as_str()) {
                 number += 1;
                 self.mark(&mut parts, number);
-                seen.clear();
+                since_mark.clear();
             }
-            seen.push(&line.answer);
+            since_mark.push(&line.answer);
             let (send, answer) = (line.send.clone(), line.answer.clone());
-            parts.push(Part { send, answer, asks: Some(at) });
+            parts.push(Part { send, answer, reads: Some(at) });
         }
         self.mark(&mut parts, number + 1);
         parts
@@ -173,7 +173,7 @@ impl Grammar {
         (request.len(), awaited.answers.iter().map(length).sum())
     }
 
-    /// The cells of a reply, [`LINE_CELLS`] for each line that was asked.
+    /// The cells of a reply, [`LINE_CELLS`] for each line that was read.
     pub(crate) fn cells(&self, reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
         let text = String::from_utf8_lossy(reply);
         let lines: Vec<&str> = self.texts(&text).flatten().collect();
@@ -186,7 +186,7 @@ impl Grammar {
         let answered = parts.iter().filter(|part| !part.answer.is_empty()).zip(&lines);
         let mut cells = Vec::new();
         for (part, answer) in answered {
-            let Some(line) = part.asks.and_then(|at| self.lines.get(at)) else {
+            let Some(line) = part.reads.and_then(|at| self.lines.get(at)) else {
                 continue;
             };
             let end = cells.len() + usize::from(LINE_CELLS);
@@ -244,8 +244,8 @@ impl Line {
     }
 }
 
-/// Whether a turn asks this line.
-fn is_asked(turn: Turn<'_>, at: usize) -> bool {
+/// Whether a turn reads this line.
+fn is_read(turn: Turn<'_>, at: usize) -> bool {
     matches!(turn.read, Some(read) if matches!(read.table, CellTable::Lines(mask) if mask >> at & 1 == 1))
 }
 

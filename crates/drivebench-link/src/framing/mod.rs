@@ -53,7 +53,7 @@ impl FrameKind {
         matches!(self, Self::Rtu)
     }
 
-    /// Lengths of a read that are told apart where a reply carries nothing else that names its request; 1: not needed.
+    /// Different lengths of a read, where nothing but the length of a reply identifies its request; 1: not needed.
     pub(super) const fn lengths(self) -> u16 {
         match self {
             Self::Dynamixel => 32,
@@ -100,7 +100,7 @@ impl FrameKind {
     }
 }
 
-/// Function by which the proof of synchronisation knows a write of a language that is none of Modbus: 2 is no function that is used.
+/// Function code that stands for a write of other languages in the proof of synchronisation: Modbus code 2 is not used here.
 pub(super) const PROOF_WRITE: u8 = 2;
 
 /// What one request does: a write, a read, or both at once.

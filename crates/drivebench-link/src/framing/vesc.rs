@@ -18,7 +18,7 @@ use crate::unexpected::Unexpected;
 const SELECTIVE: u8 = 50;
 /// Bytes of each selected value, by the bit of its mask (commands.c, `COMM_GET_VALUES_SELECTIVE`).
 const WIDTHS: [u8; 22] = [2, 2, 4, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4, 4, 4, 1, 4, 1, 6, 4, 4, 1];
-/// What a command without a read asks for, one byte: the fault code.
+/// Read behind a command that needs no value, one byte: the fault code.
 const LEAST: u32 = 1 << 15;
 /// The upper eight bits of the mask carry the number of the request; no firmware from 4.02 to 7.01 gives them a meaning. They come
 /// round after 256 requests, half a second at 500 Hz, when no late reply is expected any more.
@@ -95,7 +95,7 @@ pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
 }
 
 /// Command and mask of a request, by its packets.
-fn asked(request: &[u8]) -> (Option<u8>, Option<[u8; AROUND]>) {
+fn parts_of(request: &[u8]) -> (Option<u8>, Option<[u8; AROUND]>) {
     let (mut command, mut mask, mut at) = (None, None, 0);
     while let Some((payload, length)) = request.get(at..).and_then(payload) {
         match payload {
@@ -115,7 +115,7 @@ pub(super) fn code_of(frame: &[u8]) -> Option<Code> {
 
 pub(super) fn search(expected: &Expected, received: &[u8]) -> Search {
     let mut found = Search::default();
-    let (command, mask) = asked(&expected.request);
+    let (command, mask) = parts_of(&expected.request);
     let values = mask.map(|[_, mask @ ..]| AROUND + usize::from(width(u32::from_be_bytes(mask))));
     let mut began = None;
     let mut at = 0;
@@ -133,7 +133,7 @@ pub(super) fn search(expected: &Expected, received: &[u8]) -> Search {
             return found;
         } else if payload[0] == SELECTIVE {
             let is_old = |(request, _): &(Vec<u8>, bool)| {
-                let (_, mask) = asked(request);
+                let (_, mask) = parts_of(request);
                 mask.is_some_and(|mask| payload.starts_with(&mask))
             };
             match code_of(&received[at..]).filter(|_| expected.earlier.iter().any(is_old)) {
@@ -238,7 +238,7 @@ mod tests {
         };
         let mut damaged = reply(7);
         damaged[8] ^= 4;
-        let text = packet(b"\x15a text that nobody asked for");
+        let text = packet(b"\x15a text that nothing requests");
         for (received, found) in [
             (reply(7), (Some((0, 13)), 0, 0)),
             (reply(6), (None, 1, 0)),

@@ -316,7 +316,7 @@ impl Clock {
         })
     }
 
-    /// Drive time of the counter as it was read last, s since the first one. Within a count the host's own clock tells where, as well
+    /// Drive time of the counter as it was read last, s since the first one. Within a count it follows the host's clock, as well
     /// as the exchange does and the offset of both clocks is known.
     pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
         let reading = readings.at(self.signal);

@@ -89,7 +89,7 @@ pub(super) struct LineKeys {
     /// ` *N` behind each line, N the exclusive or of all before it.
     #[serde(default)]
     pub(super) checksum: bool,
-    /// Writes a number, asks for it, answers it.
+    /// Line that writes a number, line that reads it, its answer.
     pub(super) scratch: [String; 3],
     /// Acknowledges a written number.
     pub(super) ack: Option<String>,
@@ -123,7 +123,7 @@ pub struct SignalKeys {
     pub(super) field: Option<u8>,
     /// VESC: a command without parameters, and the byte of its reply, counted from the one behind the command.
     pub(super) reply: Option<[u16; 2]>,
-    /// Lines: the line that asks, its answer (default: one number), and which number of that.
+    /// Lines: the request, its answer (default: one number), and which number of that.
     pub(super) request: Option<String>,
     pub(super) answer: Option<String>,
     pub(super) hole: Option<u16>,

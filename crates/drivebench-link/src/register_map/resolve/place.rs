@@ -108,7 +108,7 @@ impl Places<'_> {
                 return Err(("function", message));
             }
         };
-        self.knows(function).map_err(|message| ("function", message))?;
+        self.supports(function).map_err(|message| ("function", message))?;
         Ok(Location { table, address, layout })
     }
 
@@ -150,7 +150,7 @@ impl Places<'_> {
                 format!("function {function} is not allowed (expected 6 for one register, or 16)");
             return Err(("function", message));
         }
-        self.knows(function).map_err(|message| ("function", message))?;
+        self.supports(function).map_err(|message| ("function", message))?;
         Ok((Location { table: CellTable::Holding, address, layout }, function))
     }
 
@@ -160,7 +160,7 @@ impl Places<'_> {
         Location { table, address, layout: Layout { cell: self.cell(), ..layout } }
     }
 
-    fn knows(self, function: u8) -> Result<(), String> {
+    fn supports(self, function: u8) -> Result<(), String> {
         let known = &self.link.functions;
         if known.contains(&function) {
             return Ok(());
