@@ -129,6 +129,8 @@ impl Span {
 pub struct CellsRead {
     pub cells: Vec<u16>,
     pub span: Span,
+    /// When a write that went out with the read was carried out.
+    pub written: Span,
 }
 
 /// Reads and writes cells, each call bounded by the bus's own deadline for it, and keeps the host's time.

@@ -220,7 +220,15 @@ impl<L: Language> LineBus<L> {
             return Err(self.exchange.unproven());
         }
         let answer = self.call(turn, self.allowed(turn, request, reply))?;
-        let answer = CellsRead { cells: answer.value, span: answer.span };
+        let mut answer = CellsRead { cells: answer.value, span: answer.span, written: answer.span };
+        if let Some(put) = turn.put.filter(|_| self.exchange.kind.writes_apart()) {
+            // The drive had the write while the rest of the request was on its way.
+            let rest = request.saturating_sub(self.bytes(Turn::write(put)).0);
+            let timing = &self.exchange.core.timing;
+            let written_s = answer.span.asked_s - timing.wire(rest, 0).as_secs_f64();
+            let written_s = written_s.max(self.exchange.core.host_s(sent));
+            answer.written = Span::new(written_s, written_s);
+        }
         if self.exchange.kind.is_numbered() {
             return Ok(answer);
         }

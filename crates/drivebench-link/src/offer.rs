@@ -9,6 +9,8 @@ use drivebench_model::sample::{Channel, Origin};
 pub enum Purpose {
     /// A sequence of armature voltages, from which every parameter may follow.
     Voltages,
+    /// A sequence of currents that reverse by the speed of the shaft.
+    Currents,
     /// A loop around the speed of the shaft.
     SpeedLoop,
     /// Friction and inertia from torque or current and the speed of the shaft.
@@ -21,6 +23,8 @@ pub fn refusal(profile: &DriveProfile, purpose: Purpose) -> Option<String> {
     let reason = match purpose {
         Purpose::Voltages if able.voltage_command => no_shaft_speed(profile),
         Purpose::Voltages => Some(no_voltage(profile)),
+        Purpose::Currents if able.current_command => no_shaft_speed(profile),
+        Purpose::Currents => Some("the drive takes no current command".to_owned()),
         Purpose::SpeedLoop
             if able.voltage_command || able.current_command || able.speed_command =>
         {

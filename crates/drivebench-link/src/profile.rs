@@ -17,7 +17,7 @@ macro_rules! embedded {
     };
 }
 
-const EMBEDDED: [(&str, &str); 18] = [
+const EMBEDDED: [(&str, &str); 20] = [
     embedded!("own"),
     embedded!("own-stream"),
     embedded!("abb-dcs-gateway"),
@@ -28,6 +28,7 @@ const EMBEDDED: [(&str, &str); 18] = [
     embedded!("epulse50-dc"),
     embedded!("leadshine-iem"),
     embedded!("odrive-0.5"),
+    embedded!("odrive-0.5-torque"),
     embedded!("roboteq-dc"),
     embedded!("roboteq-sdc"),
     embedded!("schneider-atv312"),
@@ -35,6 +36,7 @@ const EMBEDDED: [(&str, &str); 18] = [
     embedded!("toshiba-vfs11"),
     embedded!("vacon10"),
     embedded!("vesc-dc"),
+    embedded!("vesc-foc"),
     embedded!("yaskawa-a1000"),
 ];
 
@@ -85,7 +87,7 @@ impl SignalOrigins {
     pub const fn get(&self, channel: Channel) -> Option<Origin> {
         match channel {
             // The reference and the uncertainty of a stamp are the host's own.
-            Channel::Reference | Channel::TimeHalfWidth => None,
+            Channel::Reference | Channel::CurrentCmd | Channel::TimeHalfWidth => None,
             Channel::VoltageCmd => self.voltage_cmd_v,
             Channel::Voltage => self.voltage_v,
             Channel::Current => self.current_a,

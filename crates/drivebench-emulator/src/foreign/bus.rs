@@ -135,7 +135,7 @@ impl ForeignBus {
         let (answer, span) = self.exchange(request, DEADLINE_S, what)?;
         let pairs = answer.get(2..).unwrap_or_default().as_chunks().0;
         let cells = pairs.iter().map(|pair| u16::from_be_bytes(*pair)).collect();
-        Ok(CellsRead { cells, span })
+        Ok(CellsRead { cells, span, written: span })
     }
 
     fn put(&mut self, put: Put<'_>, timeout_s: f64) -> Result<Span> {

@@ -34,8 +34,9 @@ use drivebench_link::register_map::{
 use drivebench_link::{CellTable, DriveProfile, KickedBy};
 use drivebench_model::sample::Hindrance;
 
-/// Period of the drive's own control, s.
+/// Period of the drive's own control, s: of an industrial drive on a bus, and of a servo or a hobby drive, whose packets act at once.
 const STEP_S: f64 = 0.005;
+const PACKET_STEP_S: f64 = 0.0005;
 /// Field current of a sound machine, A.
 const FIELD_A: f64 = 1.0;
 
@@ -252,8 +253,9 @@ impl ForeignDrive {
     }
 
     pub fn advance_to(&mut self, time_s: f64) {
+        let step_s = if self.map.protocol.is_modbus() { STEP_S } else { PACKET_STEP_S };
         while self.soft.time_s() + 1e-9 < time_s {
-            let next_s = ((self.soft.time_s() / STEP_S + 1e-6).floor() + 1.0) * STEP_S;
+            let next_s = ((self.soft.time_s() / step_s + 1e-6).floor() + 1.0) * step_s;
             self.carry_out_accepted();
             self.supervise();
             self.drive_motor();

@@ -5,7 +5,7 @@ use std::f64::consts::{SQRT_2, TAU};
 use super::{FIELD_A, ForeignDrive};
 use drivebench_link::CellTable;
 use drivebench_link::register_map::{
-    Byte, CellSize, Condition, Kind, Layout, Order, Quantity, Signal, Unit,
+    Byte, CellSize, Condition, Kind, Layout, Order, Quantity, Signal, Unit, product_of,
 };
 use drivebench_model::sample::Hindrance;
 use drivebench_model::units::{rad_s_from_rpm, rpm_from_rad_s};
@@ -276,9 +276,9 @@ impl ForeignDrive {
     /// Product of nameplate values that others are scaled with.
     pub(super) fn factor(&self, scale_by: &[String]) -> f64 {
         let nameplate = &self.nameplate;
-        let value = |name: &String| {
+        let value = |name: &str| {
             let Some(signal) = self.map.signal(name) else {
-                return 1.0;
+                return Some(1.0);
             };
             let natural = match signal.keys.quantity {
                 Quantity::RatedCurrent => nameplate.rated_current_a,
@@ -288,9 +288,17 @@ impl ForeignDrive {
                 }
                 _ => 1.0,
             };
-            self.factor_with_expected_identity(signal, natural)
+            Some(self.factor_with_expected_identity(signal, natural))
         };
-        scale_by.iter().map(value).product()
+        product_of(scale_by, value).unwrap_or(1.0)
+    }
+
+    /// Whether others are scaled with this signal.
+    fn is_factor(&self, signal: &Signal) -> bool {
+        let signals = self.map.signals.iter().map(|other| &other.numbers);
+        let points = self.map.set_points.iter().map(|point| &point.numbers);
+        let mut factors = signals.chain(points).flat_map(|numbers| &numbers.scale_by);
+        factors.any(|name| name.strip_prefix('/').unwrap_or(name) == signal.name)
     }
 
     /// What is true, in the unit of the signal.
@@ -331,6 +339,7 @@ impl ForeignDrive {
             Quantity::RatedSpeed => in_unit(nameplate.rated_speed_rad_s, unit, None),
             Quantity::CurrentLimit => limit_a,
             Quantity::VoltageLimit => limit_v,
+            Quantity::Other if self.is_factor(signal) => 1.0,
             Quantity::Status
             | Quantity::FaultCode
             | Quantity::Word

@@ -48,6 +48,11 @@ impl FrameKind {
         matches!(self, Self::Tcp | Self::Vesc)
     }
 
+    /// Whether a write is a frame of its own in front of a read that goes out with it.
+    pub(super) const fn writes_apart(self) -> bool {
+        matches!(self, Self::Vesc | Self::Lines)
+    }
+
     /// Frames whose ends only silence separates.
     pub(super) const fn needs_gaps(self) -> bool {
         matches!(self, Self::Rtu)

@@ -7,7 +7,9 @@ use crate::budget::joint_block;
 use crate::cell_bus::{CellBus, Span};
 use crate::exceptions::Requested;
 use crate::link::{LinkError, Result};
-use crate::register_map::{PollRate, Quantity, ReadBlock, RegisterMap, SetPoint, plan_reads};
+use crate::register_map::{
+    PollRate, Quantity, ReadBlock, RegisterMap, SetPoint, plan_reads, product_of,
+};
 use crate::timeline::{ClockMap, DriveClock};
 use drivebench_model::sample::Channel;
 
@@ -96,7 +98,7 @@ impl Readings {
     }
 
     /// Every fast block, the joinable one in one transaction with the write that is given; from the first request to the
-    /// last reply, and the same of the block that took the write along.
+    /// last reply, and when the write was carried out.
     pub(super) fn read_fast(
         &mut self,
         bus: &mut dyn CellBus,
@@ -106,9 +108,9 @@ impl Readings {
         for at in self.in_order(joined.is_some()) {
             let block = self.fast[at].clone();
             let write = joined.take();
-            let span = self.read_with(bus, &block, write)?;
+            let (span, written) = self.read_with(bus, &block, write)?;
             if write.is_some() {
-                both = Some(span);
+                both = Some(written);
             }
             // From the first request out to the last reply in.
             whole = Some(Span {
@@ -167,7 +169,7 @@ impl Readings {
         bus: &mut dyn CellBus,
         block: &ReadBlock,
         joined: Option<&Joined>,
-    ) -> Result<Span> {
+    ) -> Result<(Span, Span)> {
         let point = joined.and_then(|joined| Some((self.map.set_points.get(joined.at)?, joined)));
         let read = match point {
             Some((point, joined)) => bus.read_write(point.put(&joined.cells), block.read),
@@ -195,7 +197,7 @@ impl Readings {
             self.last[*index] = Reading { value, pattern, span: read.span };
         }
         self.compute(&block.signals, read.span);
-        Ok(read.span)
+        Ok((read.span, read.written))
     }
 
     /// Computes what depends on signals that were just read.
@@ -258,7 +260,7 @@ impl Readings {
 
     /// Product of the signals that a value is scaled with; `None` while one is not known.
     pub(super) fn factor(&self, scale_by: &[String]) -> Option<f64> {
-        scale_by.iter().map(|name| self.get(name).and_then(|reading| reading.value)).product()
+        product_of(scale_by, |name| self.get(name)?.value)
     }
 }
 

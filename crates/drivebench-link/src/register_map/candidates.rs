@@ -9,7 +9,7 @@
 
 use serde::Serialize;
 
-use super::facts::{Reading, RegisterMap, Signal};
+use super::facts::{Reading, RegisterMap, Signal, product_of};
 use super::terms::{Quantity, Unit};
 use super::value::{Kind, Layout, Order};
 
@@ -394,12 +394,11 @@ impl Picture<'_> {
     }
 
     fn factor(&self, signal: &Signal, change: Change, depth: usize) -> Option<f64> {
-        let of = |name: &String| {
+        product_of(&signal.numbers.scale_by, |name| {
             let depth = depth.checked_sub(1)?;
             let index = self.map.index(name)?;
             self.read_as(index, change, change, depth).value()
-        };
-        signal.numbers.scale_by.iter().map(of).product()
+        })
     }
 }
 

@@ -34,6 +34,15 @@ impl Location {
     }
 }
 
+/// Product of the signals in a `scale_by`; one with a slash in front divides. `None` where one has no value, or divides by zero.
+pub fn product_of(scale_by: &[String], value: impl Fn(&str) -> Option<f64>) -> Option<f64> {
+    let factor = |name: &String| match name.strip_prefix('/') {
+        Some(name) => value(name).map(f64::recip).filter(|factor| factor.is_finite()),
+        None => value(name),
+    };
+    scale_by.iter().map(factor).product()
+}
+
 /// Raw number to value: `raw * scale * (product of the signals in scale_by) + offset`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Numbers {

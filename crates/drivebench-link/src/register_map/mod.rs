@@ -25,7 +25,7 @@ pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(crate) use candidates::{confirms, expected_at_rest};
 pub use facts::{
     Commands, Condition, Formula, IdentityCheck, IdentityTest, Location, Numbers, Reading,
-    RegisterMap, SetPoint, Signal, Step, Supervision, Write,
+    RegisterMap, SetPoint, Signal, Step, Supervision, Write, product_of,
 };
 pub use plan::{ReadBlock, plan_reads};
 pub use schema::{SetPointKeys, SignalKeys, WatchdogKeys};

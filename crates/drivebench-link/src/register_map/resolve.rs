@@ -566,7 +566,8 @@ impl Reader<'_> {
         let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
             for factor in &numbers.scale_by {
                 let factors = once.iter().copied();
-                self.known(factor, factors, "signal with poll = \"once\"", &span)?;
+                let name = factor.strip_prefix('/').unwrap_or(factor);
+                self.known(name, factors, "signal with poll = \"once\"", &span)?;
             }
             let registers = location.layout.cells();
             let message =
