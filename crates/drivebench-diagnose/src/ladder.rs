@@ -24,6 +24,7 @@ use drivebench_identify::claims::without_current;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_identify::scheme::Identified;
+use drivebench_identify::winding_balance;
 use drivebench_model::findings;
 use drivebench_model::numerics::levenberg_marquardt::Options;
 use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State, effect};
@@ -291,6 +292,11 @@ impl Bench {
         limits.extend(self.searched.clone());
         limits.extend(self.balance.as_ref().map(|balance| Limit::TorqueBalance {
             derivation: balance.sides.training.derivation.clone(),
+        }));
+        let winding = winding_balance::fit(&Model::default(), &self.evidence.training);
+        limits.extend(winding.map(|winding| Limit::ConstantDrop {
+            drop_v: winding.drop_v.0,
+            std_v: winding.drop_v.1,
         }));
         limits
     }

@@ -14,6 +14,8 @@ findings! {
         /// Only parts of long runs were searched; whether the rest confirms the answer.
         PartSearched { parts: Vec<SearchedPart>, rest_confirms: bool } = "only_part_searched",
         TorqueBalance { derivation: Derivation } = "errors_of_torque_balance",
+        /// Voltage against the current whatever its size, with its standard deviation, V: of a run that a current drives.
+        ConstantDrop { drop_v: f64, std_v: f64 } = "constant_voltage_drop",
         /// Mean and largest error by the commands of lost rows, in units of the noise; the highest error
         /// that they alone may cause.
         LostRows { expected: f64, most: f64, highest: f64 } = "lost_rows",

@@ -25,14 +25,14 @@ use drivebench_identify::misfit::{widen_by_forms_of_torque, widen_by_sampled_cur
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::FitError;
 use drivebench_identify::verdict::judge;
-use drivebench_identify::{inverse_dynamics, weak_form};
+use drivebench_identify::{inverse_dynamics, weak_form, winding_balance};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::{least_squares, statistics};
 use drivebench_model::plant::{
     Balance as Equation, Effect, Input, Instant, Model, ModelError, MotorKey, ParameterRole,
     ParameterSpec, RunScales, Scenario, ShaftAngle, Slot, State,
 };
-use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal;
 
 /// Settings of the fit of a balance of torques.
@@ -144,6 +144,8 @@ impl Balance {
         model: &Model,
         evidence: &Evidence,
     ) -> Result<(Self, Option<BalanceFit>), FitError> {
+        let (model, _) = winding_balance::with_constants(model, &evidence.training);
+        let model = &model;
         let sides = Sides::weak_form(model, evidence)?;
         let baseline = fit(model, &sides.training);
         let (unit_n_m, source) = baseline.as_ref().map_or((f64::NAN, FloorSource::None), |fit| {
@@ -193,7 +195,10 @@ fn standstill_floor(
         scenario.events.iter().take_while(|event| event.0 <= end_s).map(|event| event.1).collect()
     } else {
         let kt = model.motor.torque_constant()?;
-        let currents = &scenario.current_a[rest];
+        // The mean of a commanded current at the last sample of the rest contains a part of the first step.
+        let is_commanded = scenario.input_channel == Channel::CurrentCmd;
+        let end = if is_commanded { rest.end.saturating_sub(2).max(rest.start) } else { rest.end };
+        let currents = &scenario.current_a[rest.start..end];
         currents.iter().map(|current| kt * current).collect()
     };
     let driving: Vec<f64> = driving.into_iter().filter(|v| v.is_finite()).collect();
@@ -451,7 +456,25 @@ pub(super) fn averaged_over_forms(fit: &Fitted, rows: &TorqueRows, run: &Scenari
         finish(with, rows).map(|with| with.parameters)
     });
     widen_by_sampled_current(&mut wide.parameters, &fit.model.motor, run);
+    with_winding(&mut wide.parameters, &fit.model, run);
     wide
+}
+
+/// Puts the constants of the voltage balance in, and widens what is in proportion to their torque constant.
+fn with_winding(parameters: &mut [ParameterEstimate], model: &Model, run: &Scenario) {
+    let (_, deviation) = winding_balance::with_constants(model, run);
+    for own in parameters.iter_mut() {
+        let is_torque = own.unit.starts_with("N.m") || own.unit.starts_with("kg.m2");
+        if let (Some(value), Some(std)) = (own.value.filter(|_| is_torque), own.std.as_mut()) {
+            *std = std.hypot(deviation * value);
+        }
+    }
+    let winding = winding_balance::fit(model, run).map_or_else(Vec::new, |found| found.parameters);
+    for found in winding {
+        if let Some(own) = parameters.iter_mut().find(|own| own.key == found.key) {
+            *own = found;
+        }
+    }
 }
 
 /// Gives the model the values of a fit without the effects of the transmitted torque, which follows from them.
@@ -700,7 +723,6 @@ mod tests {
     use crate::joint::eligible::why_not;
     use drivebench_identify::weak_form;
     use drivebench_model::plant::{Motor, effect};
-    use drivebench_model::sample::Channel;
 
     const FRICTION_N_M: f64 = 0.01;
 

@@ -56,5 +56,6 @@ mod testing;
 pub mod verdict;
 pub mod voltage_departure;
 pub mod weak_form;
+pub mod winding_balance;
 mod window_sums;
 mod wrapped_angle;

@@ -24,9 +24,7 @@ use drivebench_model::numerics::least_squares::inverse_where_determined;
 use drivebench_model::numerics::levenberg_marquardt::Problem as _;
 use drivebench_model::numerics::statistics::{BAND_99, largest};
 use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
-use drivebench_model::plant::{
-    Balance, Input, Model, Motor, MotorKey, Scenario, Slot, typical_size,
-};
+use drivebench_model::plant::{Balance, Model, Motor, MotorKey, Scenario, Slot, typical_size};
 use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Verdict};
 
 /// Ratio to the noise up to which a residual counts as noise, if the noise is known exactly.
@@ -268,7 +266,9 @@ pub fn widen_by_sampled_current(
     ];
     let of_one = of_one.into_iter().flatten().reduce(f64::min);
     let constants = value(MotorKey::BackEmf).zip(motor.torque_constant());
-    let (Input::Current, Some((of_one, (ke, kt)))) = (scenario.input, of_one.zip(constants)) else {
+    let (Channel::Current, Some((of_one, (ke, kt)))) =
+        (scenario.input_channel, of_one.zip(constants))
+    else {
         return;
     };
     let own = parameters.iter_mut().find(|own| own.key == MotorKey::Inertia.key());

@@ -22,6 +22,7 @@ use super::balance::{
 };
 use super::noise::{NoiseFloor, roughness};
 use super::verdict::judge;
+use super::winding_balance;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest_but_outliers;
 use drivebench_model::numerics::{least_squares, statistics};
@@ -72,6 +73,15 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Vec<Balanced> {
         let voltage = balance(&model, scenario, Balance::Voltage, 0.0);
         torque_deviation = set_motor(&mut model, &voltage.parameters);
         balances.push(voltage);
+    }
+    if let Some(winding) = winding_balance::fit(&model, scenario) {
+        torque_deviation = set_motor(&mut model, &winding.parameters);
+        balances.push(Balanced {
+            equation: Balance::Voltage,
+            parameters: winding.parameters,
+            residual: Vec::new(),
+            noise_floor: None,
+        });
     }
     balances.push(balance(&model, scenario, Balance::Torque, torque_deviation));
     balances
@@ -189,7 +199,7 @@ impl System {
         let (lefts, angle) = (left(model, scenario, equation), angles(scenario));
         let voltages = match equation {
             Balance::Voltage => lefts.clone(),
-            Balance::Torque => held_means(scenario),
+            Balance::Torque => scenario.held_means(),
         };
         let at = |sample: usize| Instant {
             time_s: scenario.sample_time_s[sample] - scenario.begin_s(),
@@ -213,7 +223,9 @@ impl System {
         let (mut rows, mut right, mut windows) = (Vec::new(), Vec::new(), Vec::new());
         let (mut gain, mut rate_gain) = (0.0, 0.0);
         let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
-        for begin in (0..scenario.samples().saturating_sub(2 * half)).step_by(half) {
+        let (times, steps_s) = (&scenario.sample_time_s, &scenario.current_steps_s);
+        let begins = begins(times, &scenario.speed_rad_s, half, steps_s);
+        for begin in begins {
             let end = begin + 2 * half;
             // No window with a gap of half of its length.
             let times = &scenario.sample_time_s[begin..=end];
@@ -312,6 +324,30 @@ impl System {
     }
 }
 
+/// First samples of the windows: half a window apart. Where a commanded current steps, each lies between two steps and on one side of
+/// standstill: the time that the drive takes for a step is not known, nor where between two samples the friction changes its sign.
+fn begins(times: &[f64], speeds: &[f64], half: usize, steps_s: &[f64]) -> Vec<usize> {
+    let all = 0..times.len().saturating_sub(2 * half);
+    if steps_s.is_empty() {
+        return all.step_by(half).collect();
+    }
+    let period_s = statistics::median_step(times);
+    let is_between = |begin: usize| {
+        let end = begin + 2 * half;
+        let next = steps_s.partition_point(|step_s| *step_s < times[begin] - period_s);
+        let steps = steps_s.get(next).is_some_and(|step_s| *step_s <= times[end] + period_s);
+        let reverses = speeds[begin..end].iter().any(|speed| speed * speeds[end] <= 0.0);
+        !steps && !reverses
+    };
+    let mut begins: Vec<usize> = Vec::new();
+    for begin in all.filter(|begin| is_between(*begin)) {
+        if begins.last().is_none_or(|last| begin >= last + half) {
+            begins.push(begin);
+        }
+    }
+    begins
+}
+
 /// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
 fn angles(scenario: &Scenario) -> Vec<f64> {
     let shaft = scenario.shaft_angle();
@@ -322,7 +358,7 @@ fn angles(scenario: &Scenario) -> Vec<f64> {
 /// Left-hand side of a balance at the samples: voltage, or motor torque.
 fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
     match (equation, scenario.input) {
-        (Balance::Voltage, _) => held_means(scenario),
+        (Balance::Voltage, _) => scenario.held_means(),
         (Balance::Torque, Input::Torque) => {
             let times = scenario.sample_time_s.iter();
             times.map(|time_s| scenario.input_at(*time_s)).collect()
@@ -343,21 +379,6 @@ fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     };
     let half_s = scenario.scales.responses(responses);
     whole((half_s / period_s).round()).max(SETTINGS.fewest_half)
-}
-
-/// Mean of the zero-order hold over half a period on either side of each sample: with the values at the samples the trapezoidal
-/// rule would delay a step by half a sample.
-pub(super) fn held_means(scenario: &Scenario) -> Vec<f64> {
-    let samples = 0..scenario.samples();
-    samples.map(|sample| held_mean(scenario, sample)).collect()
-}
-
-/// The same at one sample.
-fn held_mean(scenario: &Scenario, sample: usize) -> f64 {
-    let times = &scenario.sample_time_s;
-    let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
-    let to_s = 0.5 * (times[sample] + times[(sample + 1).min(times.len() - 1)]);
-    signal::mean(&scenario.events, from_s, to_s)
 }
 
 /// Every second sample; the input stays as it was.
@@ -459,13 +480,14 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let half = whole((half_s / period_s).round()).max(SETTINGS.fewest_half);
     let nominal_s = 2.0 * half as f64 * period_s;
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
+    let steps_s = &scenario.current_steps_s;
     // Windows over the samples that have a speed.
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
     // Presliding friction at a reversal is not Coulomb friction.
     let dead_zone_rad_s = (noise.dead_zone_rad_s).max(0.015 * largest_but_outliers(&speeds));
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut gain, mut rate_gain) = (0.0, 0.0);
-    for begin in (0..times.len().saturating_sub(2 * half)).step_by(half) {
+    for begin in begins(&times, &speeds, half, steps_s) {
         let end = begin + 2 * half;
         let is_at_rest = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
         // A longer one contains a hole in the data.
@@ -531,7 +553,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
             // In a hole of the torque its value is not known.
             let interpolated = signal::line_across(&scenario.events, time_s, longest_gap_s);
             let is_known = interpolated.is_finite();
-            let torque = if is_known { held_mean(scenario, sample) } else { f64::NAN };
+            let torque = if is_known { scenario.held_mean(sample) } else { f64::NAN };
             (torque, torque, 1.0)
         } else {
             let current = scenario.current_a[sample];

@@ -9,6 +9,7 @@ use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{
     Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, Terms, starts_from_rest,
 };
+use drivebench_model::sample::Channel;
 
 /// Periods that the angle must cover before a wave over it is eligible: less is a slope.
 const LEAST_TRAVEL_PERIODS: f64 = 2.0;
@@ -25,7 +26,7 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
         return None;
     }
     let why_not = match effect.card().enters {
-        Enters::Voltage => Some("the run has no voltage, and it acts in the voltage balance"),
+        Enters::Voltage => Some("no voltage drives the run, and it acts in the voltage balance"),
         Enters::Path => Some(
             "it acts between motor and measurement: a run without a voltage does not distinguish it",
         ),
@@ -146,7 +147,7 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     if scenario.input == Input::Voltage {
         return prepared;
     }
-    if scenario.input == Input::Current {
+    if scenario.input_channel == Channel::Current {
         let events = &scenario.events;
         for (event, pair) in prepared.events[1..].iter_mut().zip(events.windows(2)) {
             event.0 = 0.5 * (pair[0].0 + pair[1].0);

@@ -35,9 +35,10 @@ pub fn mask(run: &mut Run) -> Vec<Masked> {
     found
 }
 
-const CHANNELS: [Channel; 6] = [
+const CHANNELS: [Channel; 7] = [
     Channel::Voltage,
     Channel::VoltageCmd,
+    Channel::CurrentCmd,
     Channel::Current,
     Channel::Speed,
     Channel::Angle,

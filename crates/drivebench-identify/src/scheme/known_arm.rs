@@ -13,7 +13,7 @@ use super::{Data, Identified, IdentifyError, Scheme};
 use crate::balance::has_both_power_flows;
 use crate::speed_from_angle::slopes;
 use crate::verdict::judge;
-use crate::weak_form::{self, held_means};
+use crate::weak_form;
 use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     ActiveEffect, Input, Model, ModelError, Motor, MotorKey, Scenario, Slot,
@@ -90,7 +90,7 @@ fn back_emf(found: &[ParameterEstimate]) -> f64 {
 
 /// The run with the voltage as its torque and the difference quotient of the angle as its speed.
 fn in_volts(scenario: &Scenario) -> Scenario {
-    let volts = held_means(scenario);
+    let volts = scenario.held_means();
     let times = &scenario.sample_time_s;
     let angles = scenario.angle.iter().zip(slopes(&scenario.angle, 1));
     let speeds: Vec<(f64, f64)> = angles.map(|(point, speed)| (point.0, speed)).collect();

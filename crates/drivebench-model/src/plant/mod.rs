@@ -9,6 +9,7 @@
 //! Baseline: `L di/dt = u - R i - Ke w`, `J dw/dt = Kt i - Mc sgn(w)`, with true stiction.
 //! An effect is one file under `effect/` and one line in its catalogue.
 
+mod commanded_current;
 pub mod effect;
 mod limited;
 mod model;

@@ -6,6 +6,7 @@ use std::ops::Range;
 
 use thiserror::Error;
 
+use super::commanded_current;
 use super::limited::{LimitReached, applied};
 use super::run_scales::RunScales;
 use super::sampled_edges;
@@ -21,7 +22,7 @@ use crate::signal::{self, Point};
 pub enum Input {
     /// Voltage, held from each event to the next.
     Voltage,
-    /// Current as measured: only the torque balance is simulated.
+    /// Current, as commanded or as measured: only the torque balance is simulated.
     Current,
     /// Torque as given: only the torque balance is simulated, with a torque constant of one.
     Torque,
@@ -69,8 +70,14 @@ pub struct Scenario {
     /// `(time, value)`, held until the next; strictly increasing.
     pub events: Vec<(f64, f64)>,
     pub sample_time_s: Vec<f64>,
-    /// Measured current at the sample times, NaN where missing.
+    /// Measured current at the sample times, NaN where missing; of a commanded one its mean over half a period on either side.
     pub current_a: Vec<f64>,
+    /// Measured voltage at the sample times of a run that a commanded current drives, NaN where missing; else empty.
+    pub voltage_v: Vec<f64>,
+    /// Instants at which a commanded current steps, in the input; else empty.
+    pub current_steps_s: Vec<f64>,
+    /// By which the speed shows a change of the commanded current after its stamp, s: already in the inputs and in `voltage_v`.
+    pub command_lag_s: f64,
     /// Measured speed at the sample times, NaN where missing.
     pub speed_rad_s: Vec<f64>,
     /// Measured angle `(time, angle)`, unwrapped; an exogenous input of effects of position. Empty: the speed is integrated.
@@ -116,6 +123,9 @@ impl Scenario {
             scored: 0..sample_time_s.len(),
             sample_time_s,
             current_a: Vec::new(),
+            voltage_v: Vec::new(),
+            current_steps_s: Vec::new(),
+            command_lag_s: 0.0,
             speed_rad_s: Vec::new(),
             angle: Vec::new(),
             time_half_width_s: Vec::new(),
@@ -130,9 +140,17 @@ impl Scenario {
         let (input, channel) =
             input_of(run).ok_or_else(|| ScenarioError::NoInput { run: run.name.clone() })?;
         let mut events: Vec<Point> = run.points(channel).collect();
-        let mut limits = Vec::new();
-        if channel == Channel::VoltageCmd {
-            (events, limits) = applied(run, &events);
+        let (mut limits, mut steps_s, mut lag_s) = (Vec::new(), Vec::new(), 0.0);
+        match channel {
+            Channel::VoltageCmd => (events, limits) = applied(run, &events),
+            Channel::CurrentCmd => {
+                let steps = commanded_current::steps(&events);
+                lag_s = commanded_current::lag_s(run, &steps);
+                events = commanded_current::applied(run, &steps);
+                events.iter_mut().skip(1).for_each(|event| event.0 += lag_s);
+                steps_s = steps.iter().skip(1).map(|step| step.0 + lag_s).collect();
+            }
+            _ => {}
         }
         let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
         let column = |channel| run.column(channel).unwrap_or_default();
@@ -172,6 +190,17 @@ impl Scenario {
             limits,
             ..Self::planned(run.name.clone(), input, channel, events, times)
         };
+        if channel == Channel::CurrentCmd {
+            scenario.current_a = scenario.held_means();
+            (scenario.command_lag_s, scenario.current_steps_s) = (lag_s, steps_s);
+            // The voltage belongs to the motion that the speed shows by the lag later.
+            let volts: Vec<Point> = run.points(Channel::Voltage).collect();
+            if !volts.is_empty() {
+                let times = scenario.sample_time_s.iter();
+                scenario.voltage_v =
+                    times.map(|time_s| signal::line(&volts, time_s - lag_s)).collect();
+            }
+        }
         scenario.refuse_gaps()?;
         if input == Input::Voltage {
             let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
@@ -270,7 +299,7 @@ impl Scenario {
         let half_width_s = self.typical_half_width_s()?;
         let period_s = self.mean_period_s();
         match (self.input, self.input_channel) {
-            (Input::Voltage, Channel::VoltageCmd) => {
+            (Input::Voltage, Channel::VoltageCmd) | (Input::Current, Channel::CurrentCmd) => {
                 // Within two exchanges, that of the write and that of the read; a write takes a tenth of a period at least.
                 Some((0.0, (2.0 * half_width_s).max(0.1 * period_s)))
             }
@@ -299,6 +328,20 @@ impl Scenario {
     /// Instant of the first input, at which the simulation starts.
     pub fn begin_s(&self) -> f64 {
         self.events[0].0
+    }
+
+    /// Mean of the input over half a period on either side of each sample: with the values at the samples the trapezoidal rule would
+    /// delay a step by half a sample.
+    pub fn held_means(&self) -> Vec<f64> {
+        (0..self.samples()).map(|sample| self.held_mean(sample)).collect()
+    }
+
+    /// The same at one sample.
+    pub fn held_mean(&self, sample: usize) -> f64 {
+        let times = &self.sample_time_s;
+        let from_s = 0.5 * (times[sample] + times[sample.saturating_sub(1)]);
+        let to_s = 0.5 * (times[sample] + times[(sample + 1).min(times.len() - 1)]);
+        signal::mean(&self.events, from_s, to_s)
     }
 
     pub fn input_at(&self, time_s: f64) -> f64 {
@@ -357,6 +400,7 @@ impl Scenario {
         for column in [
             &mut training.sample_time_s,
             &mut training.current_a,
+            &mut training.voltage_v,
             &mut training.speed_rad_s,
             &mut training.time_half_width_s,
         ] {
@@ -399,6 +443,9 @@ impl Scenario {
         Self {
             angle: self.angle[from..to.max(from)].to_vec(),
             current_a: part(&self.current_a),
+            voltage_v: part(&self.voltage_v),
+            command_lag_s: self.command_lag_s,
+            current_steps_s: self.current_steps_s.clone(),
             speed_rad_s: part(&self.speed_rad_s),
             time_half_width_s: part(&self.time_half_width_s),
             unknown_input,
@@ -470,6 +517,12 @@ impl Scenario {
             angle,
             limits: limits.filter(|limit| limit.to_s < ended_s).chain(later_limits).collect(),
             current_a: joined(&self.current_a, &later.current_a),
+            voltage_v: joined(&self.voltage_v, &later.voltage_v),
+            command_lag_s: self.command_lag_s,
+            current_steps_s: {
+                let later = later.current_steps_s.iter().map(|time_s| shifted(*time_s));
+                self.current_steps_s.iter().copied().chain(later).collect()
+            },
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s,
             unknown_input: holes.chain([between]).chain(later_holes).collect(),
@@ -538,6 +591,8 @@ fn input_of(run: &Run) -> Option<(Input, Channel)> {
     let stamped = run.origin(Channel::VoltageCmd) == Origin::Commanded && has(Channel::VoltageCmd);
     let is_sampled = stamped && run.origin(Channel::Voltage) == Origin::Measured;
     let mut inputs = [
+        // The voltage of a drive that controls the current changes between the samples, and follows from the motion.
+        (Input::Current, Channel::CurrentCmd, has(Channel::Speed) || has(Channel::Angle)),
         (Input::Voltage, Channel::Voltage, !is_sampled),
         (Input::Voltage, Channel::VoltageCmd, true),
         (Input::Torque, Channel::Torque, true),

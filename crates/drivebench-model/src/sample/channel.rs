@@ -5,6 +5,7 @@
 pub enum Channel {
     Reference,
     VoltageCmd,
+    CurrentCmd,
     Voltage,
     Current,
     Speed,
@@ -17,11 +18,12 @@ pub enum Channel {
 }
 
 impl Channel {
-    pub const COUNT: usize = 10;
+    pub const COUNT: usize = 11;
 
     pub const ALL: [Self; Self::COUNT] = [
         Self::Reference,
         Self::VoltageCmd,
+        Self::CurrentCmd,
         Self::Voltage,
         Self::Current,
         Self::Speed,
@@ -36,6 +38,7 @@ impl Channel {
         match self {
             Self::Reference => ("reference_rad_s", "speed reference", "w*", "rad/s"),
             Self::VoltageCmd => ("voltage_cmd_v", "voltage command", "u*", "V"),
+            Self::CurrentCmd => ("current_cmd_a", "current command", "i*", "A"),
             Self::Voltage => ("voltage_v", "voltage", "u", "V"),
             Self::Current => ("current_a", "current", "i", "A"),
             Self::Speed => ("speed_rad_s", "speed", "w", "rad/s"),
@@ -70,7 +73,7 @@ impl Channel {
 
     /// Commands and references hold from their instant until the next one (zero-order hold); measurements do not.
     pub const fn is_commanded(self) -> bool {
-        matches!(self, Self::Reference | Self::VoltageCmd)
+        matches!(self, Self::Reference | Self::VoltageCmd | Self::CurrentCmd)
     }
 
     pub fn from_key(key: &str) -> Option<Self> {

@@ -37,4 +37,13 @@ impl Demand {
             Self::Current(_) | Self::Speed(_) => None,
         }
     }
+
+    /// The current that this demand drives through the motor, where it is one that fixes the current.
+    pub const fn current_a(self) -> Option<f64> {
+        match self {
+            Self::Current(amperes) => Some(amperes),
+            Self::Disable | Self::Stop | Self::ResetFault => Some(0.0),
+            Self::Voltage(_) | Self::Speed(_) => None,
+        }
+    }
 }

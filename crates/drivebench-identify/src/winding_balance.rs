@@ -1,0 +1,147 @@
+//! Resistance and back-EMF constant of a run that a commanded current drives: the voltage balance `u = R i + Ke w + U0 sgn(i)`
+//! between the steps of the current, where it is constant and the inductance has no part. `U0` takes what drops whatever the
+//! current is, else the resistance would.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::verdict::{judge, unknown};
+use drivebench_model::numerics::least_squares;
+use drivebench_model::numerics::statistics::{largest, median_step};
+use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
+use drivebench_model::sample::{ParameterEstimate, Reason};
+
+/// Periods after a step of the current from which its transient is over: a current loop settles within milliseconds.
+const SETTLED_PERIODS: f64 = 1.5;
+/// Share of the largest current below which the drive may have released the motor, whose terminals it then does not hold.
+const RELEASED: f64 = 0.05;
+/// Fewest rows for each unknown.
+const ROWS_AN_UNKNOWN: usize = 20;
+
+/// The fitted balance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Winding {
+    /// Resistance, inductance and back-EMF constant, but for those that the model fixes.
+    pub parameters: Vec<ParameterEstimate>,
+    /// `U0` with its standard deviation, V.
+    pub drop_v: (f64, f64),
+}
+
+/// `None` where the run has no voltage beside a commanded current, or too few rows of it.
+pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
+    let times = &scenario.sample_time_s;
+    let period_s = median_step(times);
+    let events = &scenario.events;
+    let currents: Vec<f64> = events.iter().map(|event| event.1).collect();
+    let least_a = RELEASED * largest(&currents);
+    let steps_s = &scenario.current_steps_s;
+    let (mut rows, mut steps): (Vec<[f64; 4]>, Vec<usize>) = (Vec::new(), Vec::new());
+    for (sample, volts) in scenario.voltage_v.iter().enumerate() {
+        let (time_s, speed_rad_s) = (times[sample], scenario.speed_rad_s[sample]);
+        let amperes = scenario.input_at(time_s);
+        let step = steps_s.partition_point(|step_s| *step_s <= time_s);
+        let from_s = step.checked_sub(1).map_or(f64::NEG_INFINITY, |step| steps_s[step]);
+        // The next step shows in the voltage before it shows in the speed.
+        let until_s = steps_s.get(step).copied().unwrap_or(f64::INFINITY);
+        let is_settled =
+            time_s - from_s > SETTLED_PERIODS * period_s && until_s - time_s > period_s;
+        let is_whole = volts.is_finite() && speed_rad_s.is_finite();
+        if is_settled && is_whole && amperes.abs() > least_a {
+            rows.push([amperes, speed_rad_s, amperes.signum(), *volts]);
+            steps.push(step);
+        }
+    }
+    if rows.len() < 3 * ROWS_AN_UNKNOWN {
+        return None;
+    }
+    let matrix = DMatrix::from_fn(rows.len(), 3, |row, column| rows[row][column]);
+    let right = DVector::from_fn(rows.len(), |row, _| rows[row][3]);
+    let solution = least_squares::solve(&matrix, &right, &steps)?;
+    let std = |at: usize| solution.covariance[(at, at)].max(0.0).sqrt();
+    // A lag of the current instead of one of the speed adds `Ke w' lag`, which follows the current.
+    let accelerates = 2.0 * largest(&scenario.speed_rad_s) * steps_s.len() as f64
+        / (times[times.len() - 1] - times[0]);
+    let estimate = |key: MotorKey, at: usize, systematic: f64| {
+        judge(&Slot::Motor(key), solution.x[at], Some(std(at).hypot(systematic)), period_s)
+    };
+    let back_emf = solution.x[1];
+    let by_lag_ohm = back_emf * accelerates * scenario.command_lag_s.abs() / largest(&currents);
+    let inductance = unknown(
+        MotorKey::Inductance,
+        Reason::SampledTooSlowly,
+        "the drive controls the current: it is constant between its steps, and those are over between two samples",
+    );
+    let all = [
+        estimate(MotorKey::Resistance, 0, by_lag_ohm),
+        inductance,
+        estimate(MotorKey::BackEmf, 1, 0.0),
+    ];
+    let is_free = |own: &ParameterEstimate| !model.fixed.contains(&own.key);
+    Some(Winding {
+        parameters: all.into_iter().filter(is_free).collect(),
+        drop_v: (solution.x[2], std(2)),
+    })
+}
+
+/// The model with the constants of a run, for its torque balance, and the relative standard deviation of the torque constant that follows.
+pub fn with_constants(model: &Model, scenario: &Scenario) -> (Model, f64) {
+    let mut model = model.clone();
+    let found = fit(&model, scenario).map_or_else(Vec::new, |winding| winding.parameters);
+    let deviation = super::balance::set_motor(&mut model, &found);
+    (model, deviation)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{assert_found, judged, unknown as unknown_motor};
+    use drivebench_model::plant::testing::run_of;
+    use drivebench_model::sample::{Channel, Origin, Verdict};
+
+    /// Currents of two sizes that alternate each second, a triangle of speed, and the voltage of `R` 1.1 ohm, `Ke` 0.35 V.s/rad and a
+    /// drop; the row after each step has the voltage of the transient.
+    fn scenario(drop_v: f64) -> Scenario {
+        let times: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row) + 0.005).collect();
+        let level = |time_s: f64| {
+            let way: f64 = if time_s.rem_euclid(2.0) < 1.0 { 1.0 } else { -1.0 };
+            if time_s < 1.0 { 0.0 } else { way * if time_s % 4.0 < 2.0 { 2.0 } else { 5.0 } }
+        };
+        let speed = |time_s: f64| 100.0 - 200.0 * (time_s.rem_euclid(2.0) - 1.0).abs();
+        let is_transient = |time_s: f64| time_s.fract() < 0.012;
+        let volts = |time_s: f64| {
+            let amperes: f64 = level(time_s);
+            let transient = if is_transient(time_s) { 8.0 * amperes.signum() } else { 0.0 };
+            1.1 * amperes + 0.35 * speed(time_s) + drop_v * amperes.signum() + transient
+        };
+        let column = |of: &dyn Fn(f64) -> f64| times.iter().map(|time_s| of(*time_s)).collect();
+        let columns = [
+            (Channel::CurrentCmd, column(&level), Origin::Commanded),
+            (Channel::Voltage, column(&volts), Origin::Measured),
+            (Channel::Speed, column(&speed), Origin::Measured),
+        ];
+        Scenario::from_run(&run_of("r", times.clone(), columns)).unwrap()
+    }
+
+    #[test]
+    fn resistance_and_back_emf_follow_from_the_voltage_between_the_steps() {
+        for drop_v in [0.0, 1.5] {
+            let winding = fit(&unknown_motor(), &scenario(drop_v)).unwrap();
+            assert!((winding.drop_v.0 - drop_v).abs() < 0.02, "{:?}", winding.drop_v);
+            let found = winding.parameters;
+            assert_found(&found, "resistance_ohm", 1.1, 0.01);
+            assert_found(&found, "back_emf_v_s_per_rad", 0.35, 0.002);
+            judged(&found, "inductance_h", Verdict::NotObservable);
+        }
+    }
+
+    #[test]
+    fn a_fixed_value_stays_and_a_run_without_voltage_gives_nothing() {
+        let run = scenario(0.0);
+        let mut model = unknown_motor();
+        model.fixed.push("resistance_ohm".to_owned());
+        let found = fit(&model, &run).unwrap().parameters;
+        assert!(found.iter().all(|own| own.key != "resistance_ohm"));
+        let silent = Scenario { voltage_v: Vec::new(), ..run };
+        assert_eq!(fit(&model, &silent), None);
+        assert_eq!(with_constants(&model, &silent).1, 0.0);
+    }
+}
