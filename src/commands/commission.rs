@@ -40,7 +40,6 @@ use drivebench_bench::recording::RunFile;
 use drivebench_bench::{BenchFile, Snapshot, burst_part};
 use drivebench_diagnose::{Diagnosis, recommend};
 use drivebench_emulator::mystery::TrueEffect;
-use drivebench_link::offer::Purpose;
 use drivebench_model::plant::{FileHistory, Model, Scenario};
 use drivebench_model::text::number::significant;
 
@@ -163,7 +162,8 @@ fn commission(
     controls: &Controls,
     mut publish: impl FnMut(&Progress),
 ) -> Result<CommissionDone, Failure> {
-    let mut rig = open(options, None, Purpose::Voltages)?;
+    let purpose = options.bench.purpose();
+    let mut rig = open(options, None, purpose)?;
     // On a machine that changes while it runs the hidden effects are not the whole truth: the diagnosis is not scored.
     let emulator = rig.connection.emulator.as_ref();
     let steady = emulator.filter(|emulator| emulator.changes.is_empty());

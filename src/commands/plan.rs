@@ -9,9 +9,10 @@ use crate::runtime::failure::Failure;
 use crate::runtime::files::read_text;
 use crate::runtime::opening::wired_profile;
 use crate::runtime::output::{Terminal, lines};
+use crate::runtime::rig::failed_plan;
 use drivebench_bench::{
-    BenchFile, BenchFileError, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, Port,
-    Reference, plan, plan_escalation,
+    BenchFile, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, PlanError, Port, Reference,
+    plan_escalation, plan_run,
 };
 use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 
@@ -213,9 +214,6 @@ impl ReferencePlan {
 /// Predicts the sequence of the bench file `file` with the text `source`.
 fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     let mut bench = BenchFile::parse(file, source)?;
-    let in_file = |name: &str, error| BenchFileError::Sequence { file: name.to_owned(), error };
-    let program = bench.program(bench.runs.fit);
-    let program = program.map_err(|error| in_file(&bench.name, error))?;
     let (profile, _) = wired_profile(&mut bench)?;
     let line = match bench.port() {
         Port::Tcp(_) => None,
@@ -237,21 +235,23 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
                 .to_owned(),
         );
     }
-    let voltages = offer::refusal(&profile, offer::Purpose::Voltages);
+    let refusal = offer::refusal(&profile, bench.purpose());
     let nameplate = bench.nameplate().filter(|_| !bench.motor.unknown);
     let Some(nameplate) = nameplate else {
         // The first stage of its escalation, and what follows.
-        if let Some(refusal) = voltages {
+        if let Some(refusal) = refusal {
             let headline = format!(
                 "the motor is not known, and small steps cannot find it with this drive: {refusal}"
             );
             return Err(Failure::usage(headline, "complete [motor]"));
         }
-        let escalation = plan_escalation(&bench).map_err(|error| in_file(&bench.name, error))?;
+        let escalation = plan_escalation(&bench)
+            .map_err(|error| failed_plan(&bench.name, PlanError::Sequence(error)))?;
         warnings.extend(bench.motor.contradictions());
         return Ok(Forecast::Unknown(Box::new(Unknown { escalation, line, warnings })));
     };
-    let mut plan = plan(&program, &nameplate, &bench.limits(), rate_hz, None)?;
+    let mut plan = plan_run(&bench, bench.runs.fit, &nameplate, rate_hz, None)
+        .map_err(|error| failed_plan(&bench.name, error))?;
     plan.warnings.extend(warnings);
     if rate_hz < requested_hz {
         plan.warnings.push(format!(
@@ -261,7 +261,7 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
     }
     plan.warnings.extend(bench.motor.contradictions());
     let mut reference = None;
-    if let Some(speed) = bench.speed.as_ref().filter(|_| voltages.is_some()) {
+    if let Some(speed) = bench.speed.as_ref().filter(|_| refusal.is_some()) {
         bench.check_speed(file, source)?;
         let found = bench.reference(speed).ok();
         reference = found.map(|found| ReferencePlan::of(&found, &bench));

@@ -24,7 +24,6 @@ use drivebench_identify::escalation::Ending;
 use drivebench_identify::nameplate::{Comparison, NameplateDoubt};
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::start;
-use drivebench_link::offer::Purpose;
 use drivebench_model::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use drivebench_model::sample::Verdict;
 
@@ -130,7 +129,8 @@ pub(crate) fn run(
     open: OpenRig,
     controls: &Controls,
 ) -> Result<RunDone, Failure> {
-    let mut rig = open(options, run_seed, Purpose::Voltages)?;
+    let purpose = options.bench.purpose();
+    let mut rig = open(options, run_seed, purpose)?;
     let printed = rig.options.headless.then(|| rig.options.terminal.clone());
     let report = rig.check(controls)?;
     if let Some(terminal) = &printed {
@@ -194,7 +194,8 @@ fn connect(
     open: OpenRig,
     controls: &Controls,
 ) -> Result<Connection, Failure> {
-    let mut rig = open(options, run_seed, Purpose::Voltages)?;
+    let purpose = options.bench.purpose();
+    let mut rig = open(options, run_seed, purpose)?;
     let checks = rig.check_at_rest(controls)?;
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
     let is_known = rig.bench.nameplate().is_some();

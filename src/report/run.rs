@@ -184,7 +184,7 @@ fn panels(run: &Run, start_s: f64) -> [Panel; 7] {
     let end_s = time_s.last().copied().unwrap_or(0.0);
     let groups: [&[Channel]; 7] = [
         &[Channel::VoltageCmd, Channel::Voltage],
-        &[Channel::Current],
+        &[Channel::CurrentCmd, Channel::Current],
         &[Channel::Reference, Channel::Speed],
         &[Channel::Angle],
         &[Channel::Torque],

@@ -113,7 +113,7 @@ pub(crate) fn suited(profile: &DriveProfile, purpose: offer::Purpose) -> Result<
         let only_speed = purpose == offer::Purpose::Voltages
             && offer::refusal(profile, offer::Purpose::SpeedLoop).is_none();
         let help = if only_speed {
-            "the drive takes a speed or a current: use `drivebench speed`, with a [speed] section in the bench file"
+            "the drive takes a speed or a current: use `drivebench speed`, with a [speed] section in the bench file, or [currents] where it takes a current"
         } else {
             help
         };

@@ -22,11 +22,11 @@ use drivebench_bench::recording::{
     Event, Layout, Manifest, Record as _, Recorder, RunFolder, utc_stamp,
 };
 use drivebench_bench::{
-    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, FirstMove,
-    Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome, Plan,
-    Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator, RunOptions, RunSummary,
-    Session, Snapshot, SpeedPilot, Target, Waivers, check, layout, layout_with_reference, manifest,
-    measure_delay, plan, reopen, run, stage_session,
+    Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, CurrentsPilot,
+    FirstMove, Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome,
+    Plan, PlanError, Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator,
+    RunOptions, RunSummary, Session, Snapshot, SpeedPilot, Target, Waivers, check, layout,
+    manifest, measure_delay, plan_run, reopen, run, stage_session,
 };
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use drivebench_identify::escalation::Stage;
@@ -216,6 +216,12 @@ impl Rig {
     }
 
     fn checked(&mut self, controls: &Controls, at_rest: bool) -> Result<CheckReport, Failure> {
+        if self.escalates && self.bench.currents.is_some() {
+            return Err(Failure::usage(
+                "small steps of voltage find an unknown motor, and this bench commands a current",
+                "give the motor's data in [motor]",
+            ));
+        }
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::usage(
                 "the small steps that find an unknown motor would let a vertical load fall",
@@ -270,9 +276,10 @@ impl Rig {
 
     /// Predicts the sequence with this seed; refuses it where a limit would be exceeded.
     pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
-        let (program, nameplate) = (self.program(seed)?, self.nameplate()?);
-        let (limits, rate_hz) = (self.bench.limits(), self.bench.link.rate_hz);
-        let plan = plan(&program, &nameplate, &limits, rate_hz, self.drive_current_limit_a())?;
+        let (nameplate, rate_hz) = (self.nameplate()?, self.bench.link.rate_hz);
+        let limit_a = self.drive_current_limit_a();
+        let plan = plan_run(&self.bench, seed, &nameplate, rate_hz, limit_a)
+            .map_err(|error| failed_plan(&self.bench.name, error))?;
         if let Some(refusal) = plan.refusals.first() {
             let headline = format!("plan refused: {refusal}");
             return Err(Failure::usage(headline, refusal.help()));
@@ -314,10 +321,16 @@ impl Rig {
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
-        let brake = self.bench.load.brake();
-        let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
-        let session = Session::holding(Box::new(self.program(seed)?), guard, hold_v)
-            .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1));
+        let session = if let Some(currents) = &self.bench.currents {
+            let silence_s = self.bench.limits().link_silence_s;
+            let pilot = CurrentsPilot::new(currents, seed, silence_s);
+            Session::with_pilot(Box::new(pilot), guard)
+        } else {
+            let brake = self.bench.load.brake();
+            let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
+            Session::holding(Box::new(self.program(seed)?), guard, hold_v)
+                .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1))
+        };
         let run = Planned { session, motor: Some(motor), follows: false, speed: None };
         self.record_session(name, seed, run, controls)
     }
@@ -393,15 +406,16 @@ impl Rig {
             .with_watchdog(report.identity.watchdog_s)
             .with_waivers(report.waived.iter().map(|&name| name.to_owned()).collect());
         let mut manifest = self.manifest(name, seed, &report);
-        let mut layout = match planned.speed {
-            Some(about) => {
-                manifest.set_origin(Channel::Reference, Origin::Commanded);
-                manifest.configs.insert("model".to_owned(), about.model);
-                manifest.speed_loop = about.manifest;
-                layout_with_reference(&report.signals)
-            }
-            None => layout(&report.signals),
-        };
+        let mut commands = vec![session.command_channel()];
+        if let Some(about) = planned.speed {
+            commands.insert(0, Channel::Reference);
+            manifest.configs.insert("model".to_owned(), about.model);
+            manifest.speed_loop = about.manifest;
+        }
+        for command in &commands {
+            manifest.set_origin(*command, Origin::Commanded);
+        }
+        let mut layout = layout(&commands, &report.signals);
         if !self.connection.clock.is_real() {
             layout = layout.without_host_time();
         }
@@ -713,6 +727,16 @@ impl Drop for Rig {
             Ok(stopped) => stopped.map_err(|error| error.to_string()),
             Err(_) => Err("the link has panicked as well".to_owned()),
         }));
+    }
+}
+
+/// Why a run of this bench cannot be predicted.
+pub(crate) fn failed_plan(bench: &str, error: PlanError) -> Failure {
+    match error {
+        PlanError::Model(error) => error.into(),
+        PlanError::Sequence(error) => {
+            BenchFileError::Sequence { file: bench.to_owned(), error }.into()
+        }
     }
 }
 

@@ -123,9 +123,11 @@ fn a_drive_of_lines_is_driven_by_a_speed_loop() {
 /// The whole way of somebody with such a drive on the desk, in virtual time: the hidden Stribeck friction is named.
 #[test]
 fn a_vesc_and_a_dynamixel_are_commissioned() {
-    for (profile, baud, rate_hz) in
-        [("vesc-dc", 115_200, 100.0), ("dynamixel-xm430", 1_000_000, 100.0)]
-    {
+    for (profile, baud, rate_hz) in [
+        ("vesc-dc", 115_200, 100.0),
+        ("vesc-foc", 115_200, 100.0),
+        ("dynamixel-xm430", 1_000_000, 100.0),
+    ] {
         let desk = Desk::new();
         let (bench, runs) = (desk.path("bench.toml"), desk.path("runs"));
         let motor = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/motors/zk-22fc.toml");

@@ -3,10 +3,12 @@
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
+use super::currents::CurrentsSection;
 use super::limits::{Limits, MotorSection, Nameplate, POSITIVE};
 use super::mechanics::{DriveFacts, LoadSection, SupplySection};
 use super::speed::{Reference, ReferenceError, SpeedSection};
 pub use drivebench_link::Protocol;
+use drivebench_link::offer::Purpose;
 use drivebench_model::config_text::{self, ConfigError};
 use drivebench_model::excitation::{self, ExcitationError, Segment};
 
@@ -67,6 +69,9 @@ pub struct BenchFile {
     pub runs: RunsSection,
     /// What `drivebench speed` does; left out: it is not for this bench.
     pub speed: Option<SpeedSection>,
+    /// In place of `sequence`, for a drive that is commanded by current.
+    pub currents: Option<CurrentsSection>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub sequence: Vec<Segment>,
 }
 
@@ -306,9 +311,24 @@ impl BenchFile {
         excitation::Program::new(&segments, self.limits().slew_v_per_s)
     }
 
+    /// The signals that a run of the bench needs.
+    pub const fn purpose(&self) -> Purpose {
+        if self.currents.is_some() { Purpose::Currents } else { Purpose::Voltages }
+    }
+
     fn check(&self, file: &str) -> Result<(), BenchFileError> {
         if let Some((key, value, allowed)) = self.refused() {
             return Err(refusal(file, &key, value, allowed));
+        }
+        if let Some(currents) = &self.currents {
+            if !self.sequence.is_empty() {
+                let allowed = "left out, or [[sequence]]: a run has one of them";
+                return Err(refusal(file, "currents", "given".to_owned(), allowed));
+            }
+            let bad = currents.refused(&self.limits());
+            return bad.map_or(Ok(()), |(key, value, allowed)| {
+                Err(refusal(file, key, value.to_string(), allowed))
+            });
         }
         let error = |error| BenchFileError::Sequence { file: file.to_owned(), error };
         self.program(self.runs.fit).map(drop).map_err(error)
@@ -350,6 +370,14 @@ impl BenchFile {
         if load.vertical && self.motor.is_unknown() {
             let allowed =
                 "a known motor: the small steps that find an unknown one would let the load fall";
+            return not_allowed("load.vertical", "true".to_owned(), allowed);
+        }
+        if self.currents.is_some() && self.motor.is_unknown() {
+            let allowed = "a known motor: small steps of voltage find an unknown one";
+            return not_allowed("currents", "given".to_owned(), allowed);
+        }
+        if self.currents.is_some() && load.vertical {
+            let allowed = "false with [currents]: a load that pulls is not held meanwhile";
             return not_allowed("load.vertical", "true".to_owned(), allowed);
         }
         let parts = 1..=self.sequence.len();

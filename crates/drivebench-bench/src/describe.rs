@@ -8,17 +8,8 @@ use crate::recording::{Layout, Manifest};
 use drivebench_link::LinkName;
 use drivebench_model::sample::{Channel, Origin};
 
-/// Columns of `samples.csv`: the command, and the signals that the drive gives.
-pub fn layout(signals: &[Channel]) -> Layout {
-    with_commands(&[Channel::VoltageCmd], signals)
-}
-
-/// The same with the speed reference that a closed loop follows.
-pub fn layout_with_reference(signals: &[Channel]) -> Layout {
-    with_commands(&[Channel::Reference, Channel::VoltageCmd], signals)
-}
-
-fn with_commands(commands: &[Channel], signals: &[Channel]) -> Layout {
+/// Columns of `samples.csv`: these commands, and the signals that the drive gives.
+pub fn layout(commands: &[Channel], signals: &[Channel]) -> Layout {
     let measured = signals.iter().filter(|channel| !channel.is_commanded());
     let channels: Vec<Channel> = commands.iter().chain(measured).copied().collect();
     Layout::of_drive(&channels)
@@ -44,7 +35,6 @@ pub fn manifest(
         ..Manifest::default()
     };
     manifest.configs.insert("bench".to_owned(), bench.to_toml());
-    manifest.set_origin(Channel::VoltageCmd, Origin::Commanded);
     for channel in report.signals.iter().filter(|channel| !channel.is_commanded()) {
         manifest.set_origin(*channel, Origin::Measured);
     }

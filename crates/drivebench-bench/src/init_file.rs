@@ -70,6 +70,8 @@ pub struct Reasoned {
 pub enum InitUse {
     /// Sequences of voltages.
     Voltages,
+    /// Sequences of currents.
+    Currents,
     /// A speed loop, and no sequence of voltages.
     SpeedLoop,
 }
@@ -125,7 +127,7 @@ impl InitFile {
             Port::Emulator | Port::Sim | Port::SimRtu => "--headless",
         };
         let mut next = Vec::new();
-        if self.purpose == InitUse::Voltages {
+        if self.purpose != InitUse::SpeedLoop {
             // An unknown motor cannot be planned: `run` finds it first.
             if self.plan.is_some() {
                 next.push(format!("drivebench plan {file}"));
@@ -157,8 +159,13 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     let speed_loop = offer::refusal(profile, Purpose::SpeedLoop);
     let mut remarks = motor.contradictions();
     remarks.extend(offer::remarks(profile));
+    let currents = offer::refusal(profile, Purpose::Currents);
     let purpose = match (&voltages, &speed_loop) {
         (None, _) => InitUse::Voltages,
+        (Some(why), _) if currents.is_none() => {
+            remarks.insert(0, format!("a sequence of currents, none of voltages: {why}"));
+            InitUse::Currents
+        }
         (Some(why), None) => {
             remarks.insert(0, format!("only `speed`: {why}"));
             InitUse::SpeedLoop
@@ -170,7 +177,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
             ));
         }
     };
-    if purpose == InitUse::SpeedLoop && motor.is_unknown() {
+    if purpose != InitUse::Voltages && motor.is_unknown() {
         let key = motor.missing().unwrap_or("motor.unknown = false");
         return Err(InitError::new(
             format!(
@@ -202,6 +209,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
         limits: LimitsSection::default(),
         runs: RunsSection::default(),
         speed: None,
+        currents: None,
         sequence: Vec::new(),
     };
     let limits = limits::reasons(request, &bench);

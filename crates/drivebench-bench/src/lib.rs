@@ -13,6 +13,7 @@ mod burst;
 mod check;
 mod clock;
 pub mod column_proposal;
+mod currents;
 mod describe;
 mod difference;
 mod escalate;
@@ -49,7 +50,8 @@ pub use check::{
     check, check_signals,
 };
 pub use clock::{Clock, MonotonicClock};
-pub use describe::{layout, layout_with_reference, manifest};
+pub use currents::{CurrentsPilot, CurrentsSection};
+pub use describe::{layout, manifest};
 pub use difference::{Difference, first_difference};
 pub use drivebench_emulator::VirtualClock;
 pub use escalate::{EscalationPlan, Scaled, bounds, plan_escalation, scale, stage_session};
@@ -61,7 +63,7 @@ pub use live_online::{
 };
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
 pub use pilot::{Pilot, PilotEvent, Program};
-pub use plan::{Observability, Plan, Prospect, Refusal, SegmentPlan, plan};
+pub use plan::{Observability, Plan, PlanError, Prospect, Refusal, SegmentPlan, plan_run};
 pub use plausibility::Plausibility;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
 pub use runner::{Bench, RunOptions, RunSummary, run};

@@ -3,10 +3,13 @@
 use serde::Serialize;
 use thiserror::Error;
 
+use super::bench_file::BenchFile;
+use super::currents::Currents;
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
 use super::pilot::Program;
 use super::timing::whole;
+use drivebench_model::excitation::ExcitationError;
 use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     ActiveEffect, Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory,
@@ -29,8 +32,10 @@ impl Refusal {
     /// The next step.
     pub fn help(&self) -> &'static str {
         match self.quantity {
-            "peak current" => "lower slew_v_per_s or the amplitudes of this segment",
-            "peak speed" | "peak voltage" => "lower the voltages of this segment",
+            "peak current" => "lower slew_v_per_s, or the amplitudes of this segment",
+            "peak speed" | "peak voltage" => {
+                "lower the voltages of this segment; of [currents], turn_rad_s and levels_a"
+            }
             FALL => {
                 "leave coast-down parts out: nothing holds a vertical load while the output is off"
             }
@@ -106,19 +111,108 @@ impl Plan {
     }
 }
 
+/// Where the demands of the prediction come from.
+trait Source {
+    fn duration_s(&self) -> f64;
+
+    fn demand(&mut self, time_s: f64, speed_rad_s: f64) -> Demand;
+
+    fn segment(&self, time_s: f64) -> (usize, &str);
+}
+
+/// A program, with the voltage that holds a load.
+struct Voltages<'a> {
+    program: &'a dyn Program,
+    hold_v: f64,
+}
+
+impl Source for Voltages<'_> {
+    fn duration_s(&self) -> f64 {
+        self.program.duration_s()
+    }
+
+    fn demand(&mut self, time_s: f64, _speed_rad_s: f64) -> Demand {
+        match self.program.demand_at(time_s) {
+            Demand::Voltage(volts) => Demand::Voltage(volts + self.hold_v),
+            other => other,
+        }
+    }
+
+    fn segment(&self, time_s: f64) -> (usize, &str) {
+        let index = self.program.segment_at(time_s);
+        (index, self.program.segment_name(index))
+    }
+}
+
+impl Source for Currents {
+    fn duration_s(&self) -> f64 {
+        Self::duration_s(self)
+    }
+
+    fn demand(&mut self, time_s: f64, speed_rad_s: f64) -> Demand {
+        Demand::Current(self.current_a(time_s, speed_rad_s))
+    }
+
+    fn segment(&self, time_s: f64) -> (usize, &str) {
+        let index = Self::segment(self, time_s);
+        (index, Self::segment_name(index))
+    }
+}
+
 /// Predicts `program` at `rate_hz` under the slew and voltage limits, without the winding limit: a plan that needs it draws too
 /// much.
-pub fn plan(
+pub(super) fn plan(
     program: &dyn Program,
     motor: &Nameplate,
     limits: &Limits,
     rate_hz: f64,
     drive_current_limit_a: Option<f64>,
 ) -> Result<Plan, ModelError> {
-    let predicted = Prediction::of(program, motor, limits, rate_hz)?;
+    let hold_v = motor.resistance_ohm * limits.load.hold_a();
+    let source = &mut Voltages { program, hold_v };
+    predict(source, motor, limits, rate_hz, drive_current_limit_a)
+}
+
+/// A run that cannot be predicted.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum PlanError {
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error(transparent)]
+    Sequence(#[from] ExcitationError),
+}
+
+/// Predicts one run of the bench, of voltages or of currents, with this motor.
+///
+/// # Errors
+/// The motor cannot be simulated, or the sequence cannot be made.
+pub fn plan_run(
+    bench: &BenchFile,
+    run_seed: u64,
+    motor: &Nameplate,
+    rate_hz: f64,
+    drive_current_limit_a: Option<f64>,
+) -> Result<Plan, PlanError> {
+    let limits = bench.limits();
+    let Some(section) = &bench.currents else {
+        let program = bench.program(run_seed)?;
+        return Ok(plan(&program, motor, &limits, rate_hz, drive_current_limit_a)?);
+    };
+    let mut currents = Currents::new(section, run_seed);
+    Ok(predict(&mut currents, motor, &limits, rate_hz, drive_current_limit_a)?)
+}
+
+fn predict(
+    source: &mut dyn Source,
+    motor: &Nameplate,
+    limits: &Limits,
+    rate_hz: f64,
+    drive_current_limit_a: Option<f64>,
+) -> Result<Plan, ModelError> {
+    let predicted = Prediction::of(source, motor, limits, rate_hz)?;
+    let duration_s = source.duration_s();
     let segments = predicted.segments();
     let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
-    let duration_s = program.duration_s();
     let peak_current_a = peak(|segment| segment.peak_current_a);
     let i2t_a2_s = predicted.i2t_a2_s;
     let rms_current_a = (i2t_a2_s / duration_s.max(predicted.step_s)).sqrt();
@@ -256,11 +350,11 @@ impl Prediction {
         self.parts.iter().map(|part| part.segment.clone()).collect()
     }
 
-    fn push(&mut self, point: Point, name_of: impl Fn(usize) -> String) {
+    fn push(&mut self, point: Point, name: &str) {
         if self.parts.len() <= point.segment {
             self.parts.push(Part {
                 segment: SegmentPlan {
-                    name: name_of(point.segment),
+                    name: name.to_owned(),
                     start_s: point.time_s,
                     ..SegmentPlan::default()
                 },
@@ -301,7 +395,7 @@ impl Prediction {
 
     /// Control period by control period, so that slew and coasting act as they will in the session.
     fn of(
-        program: &dyn Program,
+        source: &mut dyn Source,
         motor: &Nameplate,
         limits: &Limits,
         rate_hz: f64,
@@ -309,55 +403,61 @@ impl Prediction {
         let period_s = 1.0 / rate_hz;
         let step_s = period_s / POINTS_PER_PERIOD as f64;
         let hold_a = limits.load.hold_a();
-        let hold_v = motor.resistance_ohm * hold_a;
         let mut model = Model::baseline(motor.motor());
         if limits.load.vertical {
             let weight_n_m = motor.back_emf_v_s_per_rad * hold_a;
             model.effects.push(ActiveEffect::with(TermKind::TorqueOffset.effect(), &[weight_n_m]));
         }
         let mut driven = Plant::new(&model, Input::Voltage)?;
-        let mut coasting = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
+        // Of a coasting motor, and of one whose current the drive controls.
+        let mut mechanical = Plant::new(&Model::baseline(motor.motor()), Input::Current)?;
         // A drive current limit of zero means that the drive limits itself: it switches the winding limit off.
         let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
         let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
         let mut one_period = under_voltage("plan", points_s.collect());
-        let periods = whole((program.duration_s() * rate_hz).ceil()).max(1);
+        let periods = whole((source.duration_s() * rate_hz).ceil()).max(1);
         let mut predicted =
             Self { step_s, reverse_a: 0.05 * motor.rated_current_a, ..Self::default() };
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
             let begin_s = period as f64 * period_s;
-            let wanted = match program.demand_at(begin_s) {
-                Demand::Voltage(volts) => Demand::Voltage(volts + hold_v),
-                other => other,
-            };
+            let wanted = source.demand(begin_s, speed_rad_s);
             let shaped = guard.shape(begin_s, wanted);
             let coasts = !wanted.energises();
-            let volts = if coasts { 0.0 } else { shaped.demand.voltage_v().unwrap_or(0.0) };
-            let excess_v = wanted
-                .voltage_v()
-                .map_or(0.0, |wanted_v| (wanted_v.abs() - limits.voltage_v).max(0.0));
-            one_period.events[0].1 = volts;
-            let start = State::at(if coasts { 0.0 } else { current_a }, speed_rad_s);
-            let plant = if coasts { &mut coasting } else { &mut driven };
+            let wanted_v = wanted.voltage_v().unwrap_or(0.0);
+            let excess_v = (wanted_v.abs() - limits.voltage_v).max(0.0);
+            let given = match shaped.demand {
+                Demand::Voltage(volts) => Some(volts),
+                _ => None,
+            };
+            let amps = match wanted {
+                Demand::Current(amps) => amps,
+                _ => 0.0,
+            };
+            one_period.events[0].1 = given.unwrap_or(amps);
+            let start = State::at(if given.is_none() { amps } else { current_a }, speed_rad_s);
+            let plant = if given.is_none() { &mut mechanical } else { &mut driven };
             plant.simulate_into(&one_period, start, &mut out);
-            for (&i, &w) in out.current_a.iter().zip(&out.speed_rad_s) {
+            for (at, &w) in out.speed_rad_s.iter().enumerate() {
                 angle_rad += 0.5 * (speed_rad_s + w) * step_s;
-                (current_a, speed_rad_s) = (i, w);
-                let terminal_v = if coasts { motor.back_emf_v_s_per_rad * w } else { volts };
+                speed_rad_s = w;
+                current_a = if given.is_none() { amps } else { out.current_a[at] };
+                let terminal_v =
+                    given.unwrap_or(motor.resistance_ohm * amps + motor.back_emf_v_s_per_rad * w);
+                let (segment, name) = source.segment(begin_s);
                 let point = Point {
                     time_s: begin_s + (predicted.points % POINTS_PER_PERIOD + 1) as f64 * step_s,
-                    segment: program.segment_at(begin_s),
+                    segment,
                     voltage_v: terminal_v + excess_v.copysign(terminal_v),
                     current_a,
                     speed_rad_s,
                     angle_rad,
                     coasts,
-                    wanted_v: wanted.voltage_v().unwrap_or(0.0),
+                    wanted_v,
                     supply: shaped.causes.supply,
                 };
-                predicted.push(point, |segment| program.segment_name(segment).to_owned());
+                predicted.push(point, name);
             }
             let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);
             sample.state = Some(DriveState::Running);
@@ -501,7 +601,6 @@ fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Ob
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench_file::BenchFile;
     use crate::testing::{Wave, has, near, within};
     use drivebench_model::sample::Demand;
 

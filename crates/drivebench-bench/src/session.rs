@@ -131,6 +131,14 @@ impl Session {
         self
     }
 
+    /// The quantity that its demands fix, as a column of the record.
+    pub fn command_channel(&self) -> Channel {
+        match self.pilot.zero() {
+            Demand::Current(_) => Channel::CurrentCmd,
+            _ => Channel::VoltageCmd,
+        }
+    }
+
     /// `None` where no watchdog is known, or the user waived it.
     pub fn watchdog_s(&self) -> Option<f64> {
         self.drive.watchdog_s()

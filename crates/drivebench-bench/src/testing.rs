@@ -529,7 +529,7 @@ impl Default for TestRun<'_> {
     fn default() -> Self {
         Self {
             rate_hz: 100.0,
-            layout: layout(&SIGNALS),
+            layout: layout(&[Channel::VoltageCmd], &SIGNALS),
             motor: None,
             estimator: None,
             intents: Vec::new(),

@@ -4,6 +4,8 @@ use drivebench_diagnose::{
     Limit, LongRun, RepeatUnknown, SearchedPart, SetAside, TrivialPrediction, Unjudged, WhyOpen,
 };
 use drivebench_identify::balance::Derivation;
+use drivebench_model::sample::TWO_SIDED_95;
+use drivebench_model::text::number::{significant, with_std};
 
 pub fn limit(limit: &Limit) -> String {
     match limit {
@@ -28,6 +30,17 @@ pub fn limit(limit: &Limit) -> String {
         }
         Limit::TorqueBalance { derivation: of } => {
             format!("errors are those of the torque balance ({})", derivation(of))
+        }
+        Limit::ConstantDrop { drop_v, std_v } => {
+            let (value, most) = (with_std(*drop_v, *std_v), drop_v.abs() + TWO_SIDED_95 * std_v);
+            // As a size may be zero.
+            if drop_v.abs() > 2.58 * std_v {
+                format!(
+                    "the voltage balance has {value} V against the current whatever its size: brushes, switches or dead time. It is in no                      torque, so that it is not among the effects that these runs name"
+                )
+            } else {
+                format!("the voltage balance has no constant drop: at most {} V", significant(most, 2))
+            }
         }
         Limit::LostRows { expected, most, highest } => format!(
             "the commands of the hold-out are not known everywhere (rows are missing, or the voltage changed at an unknown instant \

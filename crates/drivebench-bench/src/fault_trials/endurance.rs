@@ -117,7 +117,7 @@ fn checked_run(
     }
     let report = checked.unwrap();
     assert!(report.refusal().is_none(), "{:?}", report.refusal());
-    comparison.order = RowOrder::new(layout(&report.signals));
+    comparison.order = RowOrder::new(layout(&[Channel::VoltageCmd], &report.signals));
     let guard = Guard::new(bench.limits(), &nameplate, None).with_period(bench.period_s());
     let session = Session::new(Box::new(bench.program(1).unwrap()), guard)
         .after_seq(last_seq.max(report.last_seq))
@@ -138,7 +138,7 @@ fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
     let there = Arc::new(Mutex::new(there));
     let mut account = Account::default();
     let mut comparison = Comparison {
-        order: RowOrder::new(layout(&[])),
+        order: RowOrder::new(layout(&[Channel::VoltageCmd], &[])),
         there: Arc::clone(&there),
         samples: 0,
         lost: 0,

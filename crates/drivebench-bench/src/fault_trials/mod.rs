@@ -34,7 +34,7 @@ use drivebench_identify::online::OnlineConfig;
 use drivebench_link::virtual_line::{FarEnd, LineTime, on_a_line};
 use drivebench_link::{DriveLink, DriveProfile};
 use drivebench_model::plant::Model;
-use drivebench_model::sample::{Origin, ParameterEstimate, Run};
+use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use witness::codec::{self, Request};
@@ -238,7 +238,7 @@ fn work(
             .with_rest(&report.rest)
             .with_watchdog(report.identity.watchdog_s);
         let sent = link.statistics().sent;
-        let mut recorder = MemoryRecorder::new(layout(&report.signals));
+        let mut recorder = MemoryRecorder::new(layout(&[Channel::VoltageCmd], &report.signals));
         let summary = one_run(session, bench, link, clock, &mut recorder, (interrupted, intents));
         last_seq += summary.link.sent - sent + 1;
         trial.records.extend(recorder.run("trial").ok().map(|mut run| {

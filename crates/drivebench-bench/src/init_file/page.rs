@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::{InitRequest, InitUse, Reasoned};
 use crate::bench_file::{BenchFile, Port};
+use crate::currents::CurrentsSection;
 use crate::plan::Plan;
 use drivebench_link::KickedBy;
 use drivebench_model::excitation::Segment;
@@ -79,6 +80,10 @@ pub(super) fn text(
     }
     speed(&mut page, bench, reasons);
     sequence(&mut page, bench, purpose, plan);
+    if let Some(currents) = &bench.currents {
+        let reason = reason_of(reasons, "currents").map_or("", |reason| &reason.reason);
+        currents_section(&mut page, currents, reason);
+    }
     page.0
 }
 
@@ -242,6 +247,23 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
         });
         page.line("[[sequence]]");
         page.line(&inline(segment));
+    }
+}
+
+fn currents_section(page: &mut Page, currents: &CurrentsSection, reason: &str) {
+    page.line("");
+    page.comment(&format!("{}.", capitalised(reason)));
+    page.line("[currents]");
+    for (key, value, meaning) in [
+        ("levels_a", format!("{:?}", currents.levels_a), "A, either sign"),
+        ("turn_rad_s", format!("{:?}", currents.turn_rad_s), "rad/s at which the current reverses"),
+        ("rest_s", number(currents.rest_s), "s at zero current at both ends: noise at rest"),
+        ("seconds", number(currents.seconds), "s, without the rest"),
+        ("longest_s", number(currents.longest_s), "s after which it reverses in any case"),
+        ("coast_s", number(currents.coast_s), "s at zero current before every other reversal"),
+        ("seed", currents.seed.to_string(), "of the order of levels and speeds"),
+    ] {
+        page.value(key, &value, meaning);
     }
 }
 

@@ -3,9 +3,10 @@
 use super::limits::set_point;
 use super::{InitError, InitRequest, InitUse, Reasoned, short};
 use crate::bench_file::{BenchFile, Cells, SPEED_ENDS_S, cells};
+use crate::currents::CurrentsSection;
 use crate::escalate::scale;
 use crate::limits::Nameplate;
-use crate::plan::{Plan, plan};
+use crate::plan::{Plan, plan, plan_run};
 use crate::speed::{ControllerKind, ReferencePart, SpeedSection};
 use drivebench_link::register_map::Quantity;
 use drivebench_model::excitation::{self, Dither, Prbs, Ramp, Segment, Standstill, Steps};
@@ -34,6 +35,11 @@ pub(super) fn fit(
             bench.sequence = vec![Segment::Standstill(Standstill { seconds: 1.0 })];
         }
         InitUse::Voltages => voltages(bench, request, nameplate.as_ref(), &mut fitted)?,
+        InitUse::Currents => {
+            if let Some(nameplate) = &nameplate {
+                currents(bench, request, nameplate, &mut fitted)?;
+            }
+        }
     }
     if let Some(nameplate) = &nameplate {
         let speed = speed_section(bench, request, nameplate, purpose);
@@ -50,7 +56,10 @@ pub(super) fn fit(
                 .to_owned(),
         );
     }
-    let sequence_s = bench.program(bench.runs.fit)?.duration_s();
+    let sequence_s = match &bench.currents {
+        Some(currents) => currents.duration_s(),
+        None => bench.program(bench.runs.fit)?.duration_s(),
+    };
     let reference_s = bench
         .speed
         .as_ref()
@@ -121,6 +130,71 @@ fn voltages(
             "the sequence was made smaller ({:.0} % of the voltages): {}",
             100.0 * scaled.factor,
             why.as_deref().unwrap_or("limits")
+        ));
+    }
+    fitted.plan = Some(planned);
+    Ok(())
+}
+
+/// Shares of the current for acceleration, and of the highest speed at which it reverses.
+const CURRENT_LEVELS: [f64; 4] = [0.2, 0.4, 0.7, 1.0];
+const TURNS: [f64; 3] = [0.15, 0.45, 0.8];
+/// Periods between two reversals at the highest speed with the highest level: fewer do not show the acceleration.
+const SWING_PERIODS: f64 = 48.0;
+/// The friction may be larger than that of the nameplate.
+const FRICTION_MARGIN: f64 = 1.1;
+/// Rows of a rest from which the noise follows, and of a whole sequence of a slow line.
+const REST_PERIODS: f64 = 40.0;
+const LEAST_PERIODS: f64 = 1200.0;
+
+/// Levels of current that accelerate beyond the friction, and the speeds at which they reverse.
+fn currents(
+    bench: &mut BenchFile,
+    request: &InitRequest<'_>,
+    nameplate: &Nameplate,
+    fitted: &mut Fitted,
+) -> Result<(), InitError> {
+    let (limits, period_s) = (bench.limits(), bench.period_s());
+    let back_emf = nameplate.back_emf_v_s_per_rad;
+    let friction_a = FRICTION_MARGIN * nameplate.load_torque_n_m / back_emf;
+    let most_a = nameplate.rated_current_a.min(0.6 * limits.current_a);
+    let top_rad_s = nameplate
+        .rated_speed_rad_s
+        .min(0.7 * limits.speed_rad_s)
+        .min(0.8 * (limits.voltage_v - nameplate.resistance_ohm * most_a).max(0.0) / back_emf);
+    // Acceleration from the highest speed of one direction to that of the other in SWING_PERIODS.
+    let crossing = 2.0 * TURNS[2] * top_rad_s / (SWING_PERIODS * period_s);
+    let accelerating_a =
+        (most_a - friction_a).max(0.3 * most_a).min(nameplate.inertia_kg_m2 * crossing / back_emf);
+    let turn_rad_s = TURNS.map(|share| short(share * top_rad_s));
+    let acceleration = |level: f64| level * accelerating_a * back_emf / nameplate.inertia_kg_m2;
+    // Back and forth at every level and speed; friction makes one way longer and the other shorter.
+    let pairs = CURRENT_LEVELS.iter().flat_map(|&level| turn_rad_s.map(|turn| (level, turn)));
+    let pass_s: f64 = pairs.map(|(level, turn)| 4.0 * turn / acceleration(level)).sum();
+    let longest_s = 4.0 * 2.0 * turn_rad_s[2] / acceleration(CURRENT_LEVELS[0]);
+    let coast_s = 0.25 * pass_s / CURRENT_LEVELS.len() as f64;
+    let section = CurrentsSection {
+        levels_a: CURRENT_LEVELS.map(|level| short(friction_a + level * accelerating_a)).to_vec(),
+        turn_rad_s: turn_rad_s.to_vec(),
+        rest_s: (REST_PERIODS * period_s).max(0.5),
+        seconds: (1.5 * pass_s).clamp(10.0, (LEAST_PERIODS * period_s).max(60.0)).ceil(),
+        longest_s: short(longest_s.clamp(20.0 * period_s, 10.0)),
+        coast_s: short(coast_s.clamp(5.0 * period_s, 1.0)),
+        seed: 1,
+    };
+    fitted.reasons.push(Reasoned::new("currents", None, format!(
+        "{friction_a:.3} A against the friction of the nameplate and up to {accelerating_a:.3} A to accelerate; it reverses at {TURNS:?} of {top_rad_s:.1} rad/s"
+    )));
+    bench.currents = Some(section);
+    // While the length is not set.
+    bench.limits.time_s = Some(3600.0);
+    let own_limit_a = request.readback.current_limit_a;
+    let planned = plan_run(bench, bench.runs.fit, nameplate, bench.link.rate_hz, own_limit_a)
+        .map_err(|error| InitError::new(error.to_string(), "correct the nameplate"))?;
+    if let Some(refusal) = planned.refusals.first() {
+        return Err(InitError::new(
+            format!("the sequence of currents is too much for this motor: {refusal}"),
+            "check the nameplate against the motor, and its load",
         ));
     }
     fitted.plan = Some(planned);
@@ -216,7 +290,7 @@ fn speed_section(
 ) -> SpeedSection {
     let limits = bench.limits();
     let mut top_rad_s = nameplate.rated_speed_rad_s.min(0.8 * limits.speed_rad_s);
-    if purpose == InitUse::Voltages {
+    if purpose != InitUse::SpeedLoop {
         top_rad_s = top_rad_s.min(0.7 * limits.voltage_v / nameplate.back_emf_v_s_per_rad);
     }
     let capabilities = &request.profile.capabilities;

@@ -68,7 +68,10 @@ impl Row {
     pub fn is_limited(&self) -> bool {
         let mut remarks = self.quality.split(' ').filter_map(|remark| remark.split_once(':'));
         !self.quality.is_empty()
-            && remarks.any(|remark| remark == (Channel::VoltageCmd.key(), LIMITED))
+            && remarks.any(|(key, reason)| {
+                reason == LIMITED
+                    && [Channel::VoltageCmd, Channel::CurrentCmd].map(Channel::key).contains(&key)
+            })
     }
 }
 
@@ -82,6 +85,11 @@ pub struct Layout {
 }
 
 impl Layout {
+    /// The command whose output a limit of the drive changes.
+    pub(super) fn commanded(&self) -> Channel {
+        if self.has(Channel::CurrentCmd) { Channel::CurrentCmd } else { Channel::VoltageCmd }
+    }
+
     /// The bookkeeping columns and these channels; their order does not matter.
     pub fn of_drive(channels: &[Channel]) -> Self {
         Self { host_time: true, exchange: true, ..Self::plain(channels) }
@@ -224,7 +232,7 @@ mod tests {
     fn columns_have_the_order_of_the_contract() {
         assert_eq!(
             Layout::of_drive(&Channel::ALL).header(),
-            "time_s,host_time_s,seq,reference_rad_s,voltage_cmd_v,voltage_v,current_a,speed_rad_s,angle_rad,\
+            "time_s,host_time_s,seq,reference_rad_s,voltage_cmd_v,current_cmd_a,voltage_v,current_a,speed_rad_s,angle_rad,\
              torque_n_m,bus_v,temperature_c,time_half_width_s,status,quality\n"
         );
         assert_eq!(

@@ -154,9 +154,11 @@ impl RowOrder {
             Demand::Speed(speed_rad_s) => Some(speed_rad_s),
             _ => None,
         });
-        for (channel, value) in
-            [(Channel::VoltageCmd, demand.voltage_v()), (Channel::Reference, reference_rad_s)]
-        {
+        for (channel, value) in [
+            (Channel::VoltageCmd, demand.voltage_v()),
+            (Channel::CurrentCmd, demand.current_a()),
+            (Channel::Reference, reference_rad_s),
+        ] {
             if value.is_none() || !self.layout.has(channel) {
                 continue;
             }
@@ -195,7 +197,7 @@ impl RowOrder {
             }
         }
         if sample.limited {
-            row.remark(Channel::VoltageCmd, LIMITED);
+            row.remark(self.layout.commanded(), LIMITED);
         }
         row
     }
