@@ -7,9 +7,10 @@ use std::time::{Duration, Instant};
 use super::DriveProfile;
 use super::cell_bus::{CellBus, Put, ReadRequest};
 use super::framing::FrameKind;
+use super::open::modbus_link;
 use super::scripted::{Delayed, Scripted, frame};
 use super::transaction::StopRequest;
-use super::virtual_line::{modbus_link, paused};
+use super::virtual_line::{exchange, paused};
 use super::waiting::{alarm, now};
 
 const LATE: Duration = Duration::from_millis(70);
@@ -52,7 +53,8 @@ fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
         };
         let device = Scripted::new(Box::new(script) as Script);
         let epoch = now();
-        let link = modbus_link("virtual", FrameKind::Rtu, &profile.link, &device);
+        let line = exchange("virtual", FrameKind::Rtu, &profile.link, &device);
+        let link = modbus_link(line, profile.link.unit);
         work(Line {
             bus: Box::new(link.into_bus(&profile.registers.unwrap(), false)),
             device,

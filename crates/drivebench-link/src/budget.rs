@@ -4,11 +4,10 @@ use serde::Serialize;
 
 use super::cell_bus::{CellTable, Put};
 use super::framing::{FrameKind, Turn, read_bytes, read_write_bytes, write_bytes};
-use super::modbus::{COMMAND_BYTES, TELEMETRY_BYTES};
+use super::own::cycle_bytes;
 use super::profile::DriveProfile;
 use super::register_map::{PollRate, ReadBlock, RegisterMap, SetPoint, plan_reads};
 use super::settings::{Framing, LinkSettings, Protocol};
-use super::stream;
 use super::timing::{LineTiming, char_s};
 
 /// Delay per exchange added by adapters, s, measured on real ones.
@@ -92,12 +91,11 @@ impl LineBudget {
     /// The budget of one cycle of this drive: its fast blocks and one set-point, or the one exchange of our own register
     /// map or stream; `None`: no serial line.
     pub fn of(profile: &DriveProfile) -> Option<Self> {
-        let frames = match (profile.link.protocol, &profile.registers) {
-            (protocol, _) if protocol.is_network() => return None,
-            (_, Some(map)) => cycle_frames(map),
-            (Protocol::ModbusRtu, None) => vec![(COMMAND_BYTES, TELEMETRY_BYTES)],
-            (Protocol::Stream, None) => vec![(stream::COMMAND_BYTES, stream::TELEMETRY_BYTES)],
-            (_, None) => return None,
+        let protocol = profile.link.protocol;
+        let frames = match &profile.registers {
+            _ if protocol.is_network() => return None,
+            Some(map) => cycle_frames(map),
+            None => vec![cycle_bytes(FrameKind::serial(protocol))],
         };
         Some(Self::of_frames(&profile.link, &frames))
     }

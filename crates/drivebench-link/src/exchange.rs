@@ -73,6 +73,8 @@ pub(super) enum NoData {
         code: u8,
         name: &'static str,
     },
+    /// Frames of another version of our own protocol.
+    Version(u8),
     /// A reply that is not the one to this request.
     Mismatch(String),
     Transport(io::Error),
@@ -287,6 +289,11 @@ impl Exchange {
                 code,
                 name,
                 requested: query.requested,
+            }),
+            Some(Err(NoData::Version(found))) => Err(LinkError::Version {
+                link: self.core.name.clone(),
+                found: found.into(),
+                expected: firmware_protocol::PROTOCOL_VERSION,
             }),
             Some(Err(NoData::Mismatch(reason))) => Err(self.mismatch(reason)),
             Some(Err(NoData::Transport(error))) => Err(self.broken(&error, what)),

@@ -3,10 +3,11 @@
 //! ```text
 //! settings.rs <- register_map/ (facts of a profile) <- profile.rs (TOML) + PATH | tcp:HOST:PORT --open.rs--> Box<dyn DriveLink>
 //!
-//! Command -> [ DriveLink: modbus.rs | stream.rs | in memory ] -> Sample
-//!                  |            |
-//!                  |            |             burst.rs: samples recorded in the drive
-//!          reply_filter.rs  port.rs       bytes, silence, hang-up
+//! Command -> [ DriveLink: own.rs | profiled.rs | in memory ] -> Sample
+//!                  |                          burst.rs: samples recorded in the drive
+//!              line_bus.rs, modbus.rs     turns in the language of the drive
+//!                  |
+//!          reply_filter.rs                bytes, silence, hang-up
 //!                  |
 //!              exchange.rs (gap, proof, deadline), transaction.rs + framing/ (which bytes answer this request), proof.rs (whether the line is in step)
 //!                  +-- unexpected.rs (what came instead, and the way on)
@@ -41,6 +42,7 @@ mod link_error;
 mod modbus;
 pub mod offer;
 mod open;
+mod own;
 mod polling_backoff;
 mod port;
 mod probe;
@@ -54,7 +56,6 @@ mod reply_filter;
 mod scripted;
 pub mod serial_ports;
 mod settings;
-mod stream;
 mod tap;
 pub mod timeline;
 mod timing;
@@ -74,10 +75,10 @@ pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTr
 pub use link_core::stop_confirmed;
 pub use link_error::Result;
 pub use modbus::{
-    Batch, ModbusLink, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome,
-    Written, read_batch,
+    Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written,
+    read_batch,
 };
-pub use open::{Target, TargetError, open, open_cells, open_modbus, open_stream, open_tapped};
+pub use open::{OwnStream, Target, TargetError, open, open_cells, open_stream, open_tapped};
 pub use probe::{
     ProbeDepth, ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSignal, ProbedState,
     probe, probe_cells, probe_stream,
@@ -86,7 +87,6 @@ pub use profile::{Capabilities, DriveProfile, ProfileError, SignalOrigins, Signa
 pub use profiled::ProfiledLink;
 pub use reopen::{Anchor, Backoff, Reopening, another_drive};
 pub use settings::{DriveLimits, Framing, KickedBy, LinkSettings, Protocol, RangeError, Trust};
-pub use stream::StreamLink;
 pub use tap::TapFile;
 pub use timeline::signed_difference;
 pub use timing::standard_gap_s;

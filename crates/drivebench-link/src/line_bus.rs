@@ -9,7 +9,7 @@
 //! when the time of the true one is over. The gap is waited for behind the reply instead of before the next request.
 //! Where every reply carries the number of its request none of this is needed.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -59,7 +59,15 @@ pub(super) trait Language: Send {
     fn object(&mut self, _exchange: &mut Exchange, _object: u8) -> Result<Option<String>> {
         Ok(None)
     }
+
+    /// The texts of its device identification.
+    fn names(&mut self, _exchange: &mut Exchange) -> Result<Names> {
+        Ok(Names::new())
+    }
 }
+
+/// Objects of the device identification, by number.
+pub(super) type Names = BTreeMap<u8, String>;
 
 /// A language whose frames are made here, in framing/.
 pub(super) struct Framed {
@@ -104,17 +112,16 @@ impl Language for Framed {
         turn: Turn<'_>,
         query: Query<'_>,
     ) -> Result<Answer<Vec<u16>>> {
-        self.turns = self.turns.wrapping_add(1);
         let kind = exchange.kind;
+        self.turns = kind.number(turn, self.turns);
         let filter = exchange.filter.clone();
         let grammar = self.grammar.as_deref();
-        let request = match &self.grammar {
-            Some(grammar) => {
-                let (request, awaited) = grammar.turn(turn, self.turns);
-                filter.expect_lines(awaited);
-                request
-            }
-            None => kind.request(self.unit, turn, self.turns),
+        let request = if let Some(grammar) = &self.grammar {
+            let (request, awaited) = grammar.turn(turn, self.turns);
+            filter.expect_lines(awaited);
+            request
+        } else {
+            [filter.delimiter(), &kind.request(self.unit, turn, self.turns)].concat()
         };
         let reply = async {
             let reply = filter.ask(&request).await.map_err(NoData::Transport)?;

@@ -1,4 +1,4 @@
-//! Common part of the links to our own drive: statistics, time axis, time bound of an exchange, confirmation of a stop.
+//! State of a link: statistics, time axis, time bound of an exchange, confirmation of a stop.
 
 use std::io;
 use std::time::Instant;
@@ -91,54 +91,6 @@ impl LinkCore {
         Command { seq: self.last_seq.wrapping_add(1), demand: Demand::Stop }
     }
 }
-
-/// Methods of [`DriveLink`](super::DriveLink) that the links of our own drive share: over their core, `stop_once`, and the lengths
-/// of a command and its telemetry.
-macro_rules! own_link {
-    ($($core:ident).+) => {
-        fn name(&self) -> LinkName {
-            LinkName(self.$($core).+.name.clone())
-        }
-
-        fn stop(&mut self) -> Result<()> {
-            let (stop, name) = (self.$($core).+.stop_command(), self.$($core).+.name.clone());
-            let mut is_sent = false;
-            let stopped = stop_confirmed(&name, || {
-                let answer = self.stop_once(stop);
-                is_sent |= !self.$($core).+.is_unsent;
-                answer
-            });
-            self.$($core).+.is_unsent = !is_sent;
-            stopped
-        }
-
-        fn has_sent_command(&self) -> bool {
-            !self.$($core).+.is_unsent
-        }
-
-        fn statistics(&self) -> LinkStatistics {
-            self.$($core).+.tally.statistics
-        }
-
-        fn shortest_cycle_s(&self) -> Option<f64> {
-            let timing = &self.$($core).+.timing;
-            timing.shortest_cycle_s(COMMAND_BYTES, TELEMETRY_BYTES)
-        }
-
-        fn round_trips(&self) -> Option<&RoundTrips> {
-            Some(&self.$($core).+.tally.round_trips)
-        }
-
-        fn bound(&mut self, left_s: f64) {
-            self.$($core).+.bound.set(left_s, now());
-        }
-
-        fn burst(&mut self) -> Option<&mut dyn Burst> {
-            (self.$($core).+.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
-        }
-    };
-}
-pub(super) use own_link;
 
 /// Repeats a request without side effects until it succeeds or fails otherwise than by a transient error.
 pub(super) fn retried<T>(mut request: impl FnMut() -> Result<T>) -> Result<T> {

@@ -14,14 +14,14 @@ use super::framing::FrameKind;
 use super::line_bus::{Framed, LineBus};
 use super::link::{DriveLink, LinkError, Result};
 use super::link_error::OVER_TCP;
-use super::modbus::ModbusLink;
-use super::port::{TimedPort, connect, serial, serial_error};
+use super::modbus::Client;
+use super::own::OwnLink;
+use super::port::{connect, serial, serial_error};
 use super::profile::DriveProfile;
 use super::profiled::ProfiledLink;
 use super::register_map::RegisterMap;
 use super::reply_filter::Port;
 use super::settings::{LinkSettings, Protocol};
-use super::stream::StreamLink;
 use super::tap::{TapFile, TappedPort};
 use super::timing::LineTiming;
 use super::waiting::Waiting;
@@ -112,9 +112,6 @@ pub fn open_tapped(
     epoch: Instant,
     tap: Option<&TapFile>,
 ) -> Result<Box<dyn DriveLink>> {
-    if profile.registers.is_none() && profile.link.protocol == Protocol::Stream {
-        return Ok(Box::new(open_stream(target, profile, epoch, tap)?));
-    }
     let (exchange, unit) = open_exchange(target, &profile.link, epoch, tap)?;
     Ok(dressed(exchange, unit, profile))
 }
@@ -134,14 +131,15 @@ pub fn open_cells(
     Ok(LineBus::new(Framed::new(unit, map.lines.clone()), exchange, map))
 }
 
-/// The link of the profile over a line: our own registers, or a map with the bus that its language needs.
+/// The link of the profile over a line: our own drive, or a map with the bus that its language needs.
 pub(super) fn dressed(exchange: Exchange, unit: u8, profile: &DriveProfile) -> Box<dyn DriveLink> {
     let is_emulated = profile.link.emulated;
     let is_modbus = matches!(exchange.kind, FrameKind::Rtu | FrameKind::Tcp);
     match &profile.registers {
-        None => Box::new(ModbusLink::new(exchange, unit)),
+        None if is_modbus => Box::new(modbus_link(exchange, unit)),
+        None => Box::new(OwnLink::new(Framed::new(unit, None), exchange)),
         Some(map) if is_modbus => {
-            let bus = ModbusLink::new(exchange, unit).into_bus(map, is_emulated);
+            let bus = modbus_link(exchange, unit).into_bus(map, is_emulated);
             Box::new(ProfiledLink::new(Arc::clone(map), bus))
         }
         Some(map) => {
@@ -152,26 +150,33 @@ pub(super) fn dressed(exchange: Exchange, unit: u8, profile: &DriveProfile) -> B
     }
 }
 
-/// Opens a Modbus link: RTU over a serial port, TCP over the network, whatever the profile's protocol; but RTU over TCP where the
-/// profile has that.
-pub fn open_modbus(
+pub(super) fn modbus_link(exchange: Exchange, unit: u8) -> OwnLink<Client> {
+    OwnLink::new(Client::new(&exchange.filter, exchange.kind, unit), exchange)
+}
+
+/// The stream of our own drive, to be probed.
+pub struct OwnStream(pub(super) OwnLink<Framed>);
+
+/// Opens the stream of our own drive.
+pub fn open_stream(
     target: &Target,
     profile: &DriveProfile,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<ModbusLink> {
-    open_line(target, &profile.link, epoch, tap)
+) -> Result<OwnStream> {
+    let (exchange, unit) = open_exchange(target, &profile.link, epoch, tap)?;
+    Ok(OwnStream(OwnLink::new(Framed::new(unit, None), exchange)))
 }
 
-/// The same with the settings of the line alone.
+/// Opens a Modbus line by its settings alone: RTU over a serial port, TCP over the network; but RTU over TCP where they have that.
 pub(super) fn open_line(
     target: &Target,
     settings: &LinkSettings,
     epoch: Instant,
     tap: Option<&TapFile>,
-) -> Result<ModbusLink> {
+) -> Result<OwnLink<Client>> {
     let (exchange, unit) = open_exchange(target, settings, epoch, tap)?;
-    Ok(ModbusLink::new(exchange, unit))
+    Ok(modbus_link(exchange, unit))
 }
 
 /// Opens the line of a protocol; and the unit on it.
@@ -232,36 +237,6 @@ fn open_exchange(
     };
     let exchange = Exchange::new(name, Waiting::Real(runtime), port, kind, timing, epoch);
     Ok((exchange, unit.unwrap_or(settings.unit)))
-}
-
-/// Opens a stream link, whatever the profile's protocol.
-pub fn open_stream(
-    target: &Target,
-    profile: &DriveProfile,
-    epoch: Instant,
-    tap: Option<&TapFile>,
-) -> Result<StreamLink> {
-    let name = target.to_string();
-    let settings = &profile.link;
-    let (port, timing): (Box<dyn TimedPort>, _) = match target {
-        Target::Serial { path, baud, .. } => {
-            let baud = baud.unwrap_or(settings.baud);
-            let port = serial(path, baud, settings.framing)
-                .open()
-                .map_err(|error| serial_error(path, &error))?;
-            let timing = LineTiming::serial(settings, baud, false);
-            (Box::new(port), timing)
-        }
-        Target::Tcp { host, port, .. } => {
-            let stream = connect(&name, host, *port)?;
-            (Box::new(stream), LineTiming::network(settings))
-        }
-    };
-    let port = match tap {
-        Some(tap) => Box::new(TappedPort::new(port, tap.stream())),
-        None => port,
-    };
-    Ok(StreamLink::new(name, port, timing, epoch))
 }
 
 #[cfg(test)]

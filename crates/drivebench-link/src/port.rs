@@ -1,19 +1,16 @@
-//! Opening of serial ports and TCP connections, with errors that name the remedy; and the blocking port of the stream link.
+//! Opening of serial ports and TCP connections, with errors that name the remedy.
 
-use std::io::{self, ErrorKind, Read, Write};
+use std::io::{self, ErrorKind};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
 use std::time::Duration;
 
-use serialport::{DataBits, FlowControl, Parity, SerialPort, SerialPortBuilder, StopBits};
+use serialport::{DataBits, FlowControl, Parity, SerialPortBuilder, StopBits};
 
 use super::link::{LinkError, Result};
 use super::serial_ports::holder_names;
 use super::settings::Framing;
-
-/// Shortest time-out of the operating system; zero would be none.
-const SHORTEST_WAIT: Duration = Duration::from_micros(1);
 
 /// Settings of a serial port. Modem lines are left alone: pseudo-terminals and many adapters have none.
 pub(super) fn serial(path: &str, baud: u32, framing: Framing) -> SerialPortBuilder {
@@ -114,68 +111,6 @@ fn permission(path: &str, mode: u32, gid: u32, groups: &str) -> String {
         mode & 0o777,
         owner.as_deref().unwrap_or("unnamed"),
     )
-}
-
-pub(super) trait TimedPort: Send {
-    /// Reads what is there within `timeout`; 0: nothing came. An error: the port is gone.
-    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize>;
-
-    /// Writes within `timeout`; returns the bytes taken.
-    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize>;
-}
-
-impl TimedPort for Box<dyn SerialPort> {
-    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.set_timeout(timeout)?;
-        what_came(self.read(bytes))
-    }
-
-    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
-        self.set_timeout(timeout)?;
-        what_went(self.write(bytes))
-    }
-}
-
-impl TimedPort for TcpStream {
-    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        self.set_read_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
-        what_came(self.read(bytes))
-    }
-
-    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
-        self.set_write_timeout(Some(timeout.max(SHORTEST_WAIT)))?;
-        what_went(self.write(bytes))
-    }
-}
-
-pub(super) struct Closed;
-
-impl TimedPort for Closed {
-    fn read_within(&mut self, _: &mut [u8], _: Duration) -> io::Result<usize> {
-        Err(ErrorKind::NotConnected.into())
-    }
-
-    fn write_within(&mut self, _: &[u8], _: Duration) -> io::Result<usize> {
-        Err(ErrorKind::NotConnected.into())
-    }
-}
-
-fn what_came(result: io::Result<usize>) -> io::Result<usize> {
-    match result {
-        Ok(0) => Err(io::Error::new(ErrorKind::BrokenPipe, "the other end closed")),
-        other => what_went(other),
-    }
-}
-
-fn what_went(result: io::Result<usize>) -> io::Result<usize> {
-    match result {
-        Err(error) if is_only_late(&error) => Ok(0),
-        other => other,
-    }
-}
-
-fn is_only_late(error: &io::Error) -> bool {
-    matches!(error.kind(), ErrorKind::TimedOut | ErrorKind::WouldBlock | ErrorKind::Interrupted)
 }
 
 #[cfg(test)]

@@ -60,6 +60,14 @@ impl ReplyFilter {
         self.inner().reception.expected.lines = lines;
     }
 
+    /// What goes out in front of a request: on the stream the end of a broken frame that the far end may still hold.
+    pub(super) fn delimiter(&self) -> &'static [u8] {
+        let reception = &self.inner().reception;
+        let last = reception.expected.earlier.back();
+        let is_clean = last.is_some_and(|(_, is_answered)| *is_answered);
+        if reception.kind == FrameKind::Stream && !is_clean { &[0] } else { &[] }
+    }
+
     /// Listens until something comes: how many bytes.
     pub(super) async fn listen(&self) -> io::Result<usize> {
         // Polled once more after the time-out: no new bytes must not count as some.

@@ -24,7 +24,6 @@ use firmware_protocol::modbus::{request_len, response_len};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::framing::{FrameKind, rtu_frame_len};
-use super::port::TimedPort;
 use super::reply_filter::Port;
 use super::waiting::now;
 
@@ -72,17 +71,14 @@ impl TapFile {
 
     /// Of a serial line, in pieces as they come where only the language itself separates its frames.
     pub(super) fn of(&self, kind: FrameKind) -> Tap {
-        // LINKTYPE_USER0 of pcap, for private use; the stream has LINKTYPE_USER1, the others the next three.
+        // LINKTYPE_USER0 of pcap, for private use, and the next ones.
         match kind {
             FrameKind::Rtu | FrameKind::Tcp => self.tap(147, Splitting::Rtu, None),
+            FrameKind::Stream => self.tap(148, Splitting::Zeros, None),
             FrameKind::Vesc => self.tap(149, Splitting::None, None),
             FrameKind::Dynamixel => self.tap(150, Splitting::None, None),
             FrameKind::Lines => self.tap(151, Splitting::None, None),
         }
-    }
-
-    pub(super) fn stream(&self) -> Tap {
-        self.tap(148, Splitting::Zeros, None)
     }
 
     pub(super) fn tcp(&self, ours: SocketAddr, peer: SocketAddr) -> Tap {
@@ -268,20 +264,6 @@ impl AsyncWrite for TappedPort<Box<dyn Port>> {
 
     fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.port).poll_shutdown(cx)
-    }
-}
-
-impl TimedPort for TappedPort<Box<dyn TimedPort>> {
-    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        let count = self.port.read_within(bytes, timeout)?;
-        self.tap.received(&bytes[..count]);
-        Ok(count)
-    }
-
-    fn write_within(&mut self, bytes: &[u8], timeout: Duration) -> io::Result<usize> {
-        let count = self.port.write_within(bytes, timeout)?;
-        self.tap.sent(&bytes[..count]);
-        Ok(count)
     }
 }
 
@@ -495,7 +477,7 @@ mod tests {
             wall: Duration::ZERO,
             origin: now(),
         };
-        let mut tap = file.stream();
+        let mut tap = file.of(FrameKind::Stream);
         for _ in 0..2 * QUEUE {
             tap.sent(&[1, 2, 0]);
         }

@@ -1,7 +1,7 @@
-//! In-memory line in virtual time: every byte of a Modbus RTU link without real waits.
+//! In-memory line in virtual time: every byte of a link without real waits.
 //!
 //! ```text
-//! VirtualLink [ ModbusLink (codec, proof, deadlines) ] --bytes--> VirtualPort --bytes--> FarEnd (drive and wire)
+//! VirtualLink [ DriveLink (codec, proof, deadlines) ] --bytes--> VirtualPort --bytes--> FarEnd (drive and wire)
 //!      '-- VirtualClock: advanced by the waits of the link               '-- bytes with their times
 //! ```
 
@@ -16,15 +16,14 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 
 use super::burst::{Burst, Capture};
+use super::cell_bus::CellBus;
 use super::exchange::Exchange;
 use super::framing::FrameKind;
 use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
-use super::modbus::ModbusLink;
-use super::open::dressed;
-use super::port::TimedPort;
+use super::open::{dressed, modbus_link};
 use super::profile::DriveProfile;
+use super::register_map::RegisterMap;
 use super::settings::Protocol;
-use super::stream::StreamLink;
 use super::timing::LineTiming;
 use super::transaction::{LineCounts, StopRequest};
 use super::waiting::{InVirtualTime, Waiting, expect_at, now, skip_to};
@@ -63,16 +62,6 @@ impl VirtualClock {
     pub fn slept_s(&self) -> f64 {
         f64::from_bits(self.slept.load(Ordering::Acquire))
     }
-}
-
-/// A Modbus link over a line in memory; the thread has to be in virtual time.
-pub(super) fn modbus_link<D: Device + 'static>(
-    name: &str,
-    kind: FrameKind,
-    settings: &LinkSettings,
-    device: &Arc<Mutex<D>>,
-) -> ModbusLink {
-    ModbusLink::new(exchange(name, kind, settings, device), settings.unit)
 }
 
 /// The exchanges over a line in memory; the thread has to be in virtual time.
@@ -171,24 +160,6 @@ impl<D: Device> AsyncWrite for VirtualPort<D> {
 
     fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
-    }
-}
-
-impl<D: Device> TimedPort for VirtualPort<D> {
-    fn read_within(&mut self, bytes: &mut [u8], timeout: Duration) -> io::Result<usize> {
-        let mut arrived = self.arrived(bytes.len());
-        if arrived.is_empty() && !timeout.is_zero() {
-            let limit = now() + timeout;
-            skip_to(self.next().map_or(limit, |next| next.min(limit)));
-            arrived = self.arrived(bytes.len());
-        }
-        bytes[..arrived.len()].copy_from_slice(&arrived);
-        Ok(arrived.len())
-    }
-
-    fn write_within(&mut self, bytes: &[u8], _: Duration) -> io::Result<usize> {
-        self.send(bytes);
-        Ok(bytes.len())
     }
 }
 
@@ -348,24 +319,35 @@ pub fn on_a_line<F: FarEnd + 'static, R>(
     })
 }
 
-/// A Modbus link to the far end, RTU or TCP; the thread has to be in virtual time.
-pub fn modbus_to<F: FarEnd + 'static>(
-    protocol: Protocol,
+/// The exchanges with a far end; the thread has to be in virtual time.
+fn exchange_with<F: FarEnd + 'static>(
+    kind: FrameKind,
     settings: &LinkSettings,
     far: &Arc<Mutex<F>>,
-) -> ModbusLink {
-    let kind = match protocol {
-        Protocol::ModbusTcp => FrameKind::Tcp,
-        _ => FrameKind::Rtu,
-    };
+) -> Exchange {
     let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
-    modbus_link("virtual", kind, settings, &far)
+    exchange("virtual", kind, settings, &far)
 }
 
-/// A link of the stream to the far end; the thread has to be in virtual time.
-pub fn stream_to<F: FarEnd + 'static>(settings: &LinkSettings, far: &Arc<Mutex<F>>) -> StreamLink {
-    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
-    let timing = LineTiming::serial(settings, settings.baud, false);
-    let port = Box::new(VirtualPort::new(far));
-    StreamLink::new("virtual".to_owned(), port, timing, now())
+/// A link to our own drive, in this protocol; the thread has to be in virtual time.
+pub fn own_to<F: FarEnd + 'static>(
+    protocol: Protocol,
+    profile: &DriveProfile,
+    far: &Arc<Mutex<F>>,
+) -> Box<dyn DriveLink> {
+    let kind = match protocol {
+        Protocol::ModbusTcp => FrameKind::Tcp,
+        protocol => FrameKind::serial(protocol),
+    };
+    dressed(exchange_with(kind, &profile.link, far), profile.link.unit, profile)
+}
+
+/// A bus of Modbus RTU to a drive with this map; the thread has to be in virtual time.
+pub fn bus_to<F: FarEnd + 'static>(
+    map: &RegisterMap,
+    settings: &LinkSettings,
+    far: &Arc<Mutex<F>>,
+) -> impl CellBus + use<F> {
+    let exchange = exchange_with(FrameKind::Rtu, settings, far);
+    modbus_link(exchange, settings.unit).into_bus(map, false)
 }

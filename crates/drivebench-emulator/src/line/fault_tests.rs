@@ -12,10 +12,8 @@ use super::*;
 use crate::FaultKind;
 use crate::codec::Received;
 use drivebench_link::register_map::RegisterMap;
-use drivebench_link::virtual_line::{LineTime, modbus_to, paused, stream_to};
-use drivebench_link::{
-    CellBus, CellTable, LinkError, LinkSettings, LinkStatistics, Put, ReadRequest, Result,
-};
+use drivebench_link::virtual_line::{LineTime, bus_to, own_to, paused};
+use drivebench_link::{CellBus, LinkError, LinkStatistics, Put, ReadRequest, Result};
 use drivebench_model::sample::{Channel, Command, Demand};
 
 /// Share of the replies with a fault.
@@ -264,16 +262,9 @@ impl Outcome {
     }
 }
 
-fn settings() -> LinkSettings {
-    DriveProfile::named("own").unwrap().link
-}
-
 /// A link to the own drive; the thread has to be in virtual time.
 fn link_to(protocol: Protocol, far: &Arc<Mutex<Observed>>) -> Box<dyn DriveLink> {
-    match protocol {
-        Protocol::Stream => Box::new(stream_to(&settings(), far)),
-        _ => Box::new(modbus_to(protocol, &settings(), far)),
-    }
+    own_to(protocol, &DriveProfile::named("own").unwrap(), far)
 }
 
 fn volts(seq: u64) -> Command {
@@ -414,8 +405,7 @@ fn on_a_stray_bus(
         let far = Observed::new(Protocol::ModbusRtu, faults, seed);
         far.lock().unwrap().has_strays = has_strays;
         let meant = Arc::clone(&far.lock().unwrap().meant);
-        let link = modbus_to(Protocol::ModbusRtu, &settings, &far);
-        let mut bus = link.into_bus(&map(resync), false);
+        let mut bus = bus_to(&map(resync), &settings, &far);
         let mut outcome = Outcome::default();
         for turn in 1..=count {
             let (address, words) = READS[turn % READS.len()];
@@ -617,10 +607,12 @@ fn raw_registers_are_read_and_a_refusal_has_its_name() {
     paused(|| {
         let far = Observed::new(Protocol::ModbusRtu, &[], 1);
         let meant = Arc::clone(&far.lock().unwrap().meant);
-        let mut link = modbus_to(Protocol::ModbusRtu, &settings(), &far);
-        let words = link.read_registers(CellTable::Holding, 900, 3).unwrap();
+        let settings = DriveProfile::named("own").unwrap().link;
+        let mut bus = bus_to(&map("fc08"), &settings, &far);
+        let words = bus.read(ReadRequest::holding(900, 3)).unwrap().cells;
         assert_eq!(words, meant.lock().unwrap().registers(900, 3));
-        let refused = link.write_registers(64, &[1]).unwrap_err().to_string();
+        let put = Put { function: 16, address: 64, cells: &[1] };
+        let refused = bus.write(put).unwrap_err().to_string();
         assert!(refused.contains("exception 0x02 illegal data address"), "{refused}");
     });
 }

@@ -3,12 +3,15 @@
 mod dynamixel;
 mod lines;
 mod modbus;
+mod stream;
 mod vesc;
 
 use std::collections::VecDeque;
 
 use firmware_protocol::modbus::expected_response_len;
+use firmware_protocol::{CaptureSample, Telemetry};
 
+use super::burst::window_samples;
 use super::cell_bus::{Put, ReadRequest};
 use super::exceptions::Requested;
 use super::exchange::NoData;
@@ -27,6 +30,7 @@ pub(super) use modbus::{
 pub(super) enum FrameKind {
     Rtu,
     Tcp,
+    Stream,
     Vesc,
     Dynamixel,
     Lines,
@@ -36,6 +40,7 @@ impl FrameKind {
     /// On a serial line, or where a network carries one.
     pub(super) const fn serial(protocol: Protocol) -> Self {
         match protocol {
+            Protocol::Stream => Self::Stream,
             Protocol::Vesc => Self::Vesc,
             Protocol::Dynamixel => Self::Dynamixel,
             Protocol::Lines => Self::Lines,
@@ -45,7 +50,7 @@ impl FrameKind {
 
     /// Whether every reply carries the number of its request.
     pub(super) const fn is_numbered(self) -> bool {
-        matches!(self, Self::Tcp | Self::Vesc)
+        matches!(self, Self::Tcp | Self::Stream | Self::Vesc)
     }
 
     /// Whether a write is a frame of its own in front of a read that goes out with it.
@@ -66,9 +71,18 @@ impl FrameKind {
         }
     }
 
+    /// The number of a turn after that of the one before it.
+    pub(super) fn number(self, turn: Turn<'_>, last: u32) -> u32 {
+        match self {
+            Self::Stream => stream::number(turn, last),
+            _ => last.wrapping_add(1),
+        }
+    }
+
     /// The bytes of a turn, for the languages that are ours; `number` is another one for each.
     pub(super) fn request(self, unit: u8, turn: Turn<'_>, number: u32) -> Vec<u8> {
         match self {
+            Self::Stream => stream::request(turn, number),
             Self::Vesc => vesc::request(turn, number),
             Self::Dynamixel => dynamixel::request(unit, turn),
             // The client of tokio-modbus makes these, and the grammar of a profile those.
@@ -88,9 +102,26 @@ impl FrameKind {
     /// The cells that a reply carries.
     pub(super) fn cells(self, reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
         match self {
+            Self::Stream => stream::cells(reply),
             Self::Vesc => vesc::cells(reply, turn),
             Self::Dynamixel => dynamixel::cells(reply, turn),
             Self::Rtu | Self::Tcp | Self::Lines => Ok(Vec::new()),
+        }
+    }
+
+    /// The telemetry block of our own map from its cells.
+    pub(super) fn telemetry(self, cells: &[u16]) -> Option<Telemetry> {
+        match self {
+            Self::Stream => stream::telemetry(cells),
+            _ => cells.try_into().ok().map(Telemetry::from_registers),
+        }
+    }
+
+    /// The captured samples of our own map from an index on, from the cells of their window.
+    pub(super) fn samples(self, index: u16, cells: &[u16]) -> Vec<CaptureSample> {
+        match self {
+            Self::Stream => stream::samples(cells),
+            _ => window_samples(index, cells),
         }
     }
 
@@ -98,6 +129,7 @@ impl FrameKind {
     pub(super) fn bytes(self, turn: Turn<'_>) -> (usize, usize) {
         match self {
             Self::Rtu | Self::Tcp => modbus::bytes(turn),
+            Self::Stream => stream::bytes(turn),
             Self::Vesc => vesc::bytes(turn),
             Self::Dynamixel => dynamixel::bytes(turn),
             Self::Lines => (0, 0),
@@ -224,6 +256,7 @@ impl Code {
     pub(super) fn of(kind: FrameKind, frame: &[u8]) -> Option<Self> {
         match kind {
             FrameKind::Rtu | FrameKind::Tcp => modbus::code_of(kind, frame),
+            FrameKind::Stream => stream::code_of(frame),
             FrameKind::Vesc => vesc::code_of(frame),
             FrameKind::Dynamixel => dynamixel::code_of(frame),
             FrameKind::Lines => None,
@@ -290,6 +323,7 @@ pub(super) fn search(
     match kind {
         FrameKind::Rtu => Ok(modbus::search_rtu(expected, received)),
         FrameKind::Tcp => modbus::search_tcp(expected, received),
+        FrameKind::Stream => Ok(stream::search(expected, received)),
         FrameKind::Vesc => Ok(vesc::search(expected, received)),
         FrameKind::Dynamixel => Ok(dynamixel::search(expected, received)),
         FrameKind::Lines => Ok(lines::search(expected, received)),

@@ -13,16 +13,16 @@ use std::borrow::Cow;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-use firmware_protocol::registers::{IDENTITY_ADDRESS, IDENTITY_WORDS};
 use serde::Serialize;
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
-use super::{ModbusLink, Question, acknowledged, identification, quantity, words};
+use super::{Client, Question, acknowledged, identification, words};
 use crate::cell_bus::{ReadRequest, registers};
 use crate::framing::FrameKind;
 use crate::link::{Identity, LinkError, LinkStatistics, Result};
 use crate::open::{Target, open_line};
+use crate::own::{IDENTITY, OwnLink};
 use crate::proof::{Policy, Proof};
 use crate::settings::{Framing, LinkSettings, Protocol};
 use crate::tap::TapFile;
@@ -91,7 +91,7 @@ impl RawSettings {
 
 /// A blocking Modbus client for raw registers.
 pub struct RawClient {
-    link: ModbusLink,
+    link: OwnLink<Client>,
     /// Settings of a serial line, for messages.
     at: String,
 }
@@ -123,14 +123,14 @@ impl RawClient {
     }
 
     /// `at`: settings of a serial line, for messages.
-    fn over(mut link: ModbusLink, timeout: Duration, at: String) -> Self {
+    fn over(mut link: OwnLink<Client>, timeout: Duration, at: String) -> Self {
         if link.exchange.kind == FrameKind::Rtu {
             // Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
             let quiet = Duration::from_millis(20).max(link.exchange.core.timing.gap());
             let quiet = quiet + link.exchange.core.timing.network_delay();
             link.exchange.proof = Proof::new(Policy::Trial(timeout), quiet, now());
         }
-        let unit = link.client.unit;
+        let unit = link.language.unit;
         let mut client = Self { link, at };
         client.name_unit(unit);
         client
@@ -142,8 +142,8 @@ impl RawClient {
 
     /// Selects another unit of the line.
     pub fn set_unit(&mut self, unit: u8) {
-        self.link.client.unit = unit;
-        self.link.client.attach(&self.link.exchange);
+        self.link.language.unit = unit;
+        self.link.language.attach(&self.link.exchange);
         self.name_unit(unit);
         self.link.exchange.proof.forget_unit();
     }
@@ -171,7 +171,7 @@ impl RawClient {
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
         let (what, count) = (request.text(), request.count.into());
         let question = Question::read(request, &what, self.allowed());
-        let read = |link: &mut ModbusLink| link.ask(question.clone(), words(count));
+        let read = |link: &mut OwnLink<Client>| link.ask(question.clone(), words(count));
         let values = self.link.while_busy(read)?.value;
         self.link.exchange.proof.readable(request);
         Ok(values)
@@ -223,11 +223,10 @@ impl RawClient {
 
     /// Identity of a unit with our register map; `None`: another unit, which counts as hardware.
     pub fn identify(&mut self) -> Result<Option<Identity>> {
-        let read = ReadRequest::holding(IDENTITY_ADDRESS, quantity(IDENTITY_WORDS));
-        let mut block = self.read(read);
+        let mut block = self.read(IDENTITY);
         if block.is_ok() && !self.verify()? {
             self.withdraw();
-            block = read_proven(self, read);
+            block = read_proven(self, IDENTITY);
         }
         let block = match block {
             Err(LinkError::Exception { .. }) => return Ok(None),

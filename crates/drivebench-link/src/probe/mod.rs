@@ -4,7 +4,7 @@
 //! ```text
 //! RawClient -> mapped.rs (a profile's registers) --> register_map::Picture -> what fits, other decodings --.
 //!           '> own.rs (our own map) -------------> telemetry, identity -------------------------------------> ProbeReport
-//! StreamLink -^                                                                                   report.rs
+//! OwnStream -^                                                                                    report.rs
 //! ```
 
 mod mapped;
@@ -16,8 +16,8 @@ pub use report::{ProbeFinding, ProbeReport, ProbeVerdict, ProbedCheck, ProbedSig
 use super::cell_bus::CellBus;
 use super::link::Result;
 use super::modbus::RawClient;
+use super::open::OwnStream;
 use super::profile::DriveProfile;
-use super::stream::StreamLink;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProbeDepth {
@@ -63,6 +63,6 @@ pub fn probe_cells(mut bus: &mut dyn CellBus, profile: &DriveProfile) -> Result<
 ///
 /// # Errors
 /// As [`probe`].
-pub fn probe_stream(link: &mut StreamLink, profile: &DriveProfile) -> Result<ProbeReport> {
-    own::probe_stream(link, profile)
+pub fn probe_stream(stream: &mut OwnStream, profile: &DriveProfile) -> Result<ProbeReport> {
+    own::probe_stream(&mut stream.0, profile)
 }

@@ -6,13 +6,13 @@ use firmware_protocol::registers::{REGISTERS, TELEMETRY_ADDRESS, TELEMETRY_WORDS
 use firmware_protocol::{State, Telemetry};
 
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
-use crate::cell_bus::{MOST_READ, ReadRequest};
+use crate::line_bus::Framed;
 use crate::link::{DriveLink, Result};
 use crate::link_core::retried;
 use crate::modbus::{RawClient, read_batch};
+use crate::own::{OwnLink, TELEMETRY};
 use crate::profile::DriveProfile;
 use crate::register_map::{Quantity, Unit, confirms, expected_at_rest};
-use crate::stream::StreamLink;
 
 pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<ProbeReport> {
     let mut report = ProbeReport::of(profile);
@@ -24,9 +24,7 @@ pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<Pr
         found: if identity.is_some() { "it" } else { "something else" }.to_owned(),
     });
     if identity.is_some() {
-        let words = u16::try_from(TELEMETRY_WORDS).unwrap_or(MOST_READ);
-        let request = ReadRequest::holding(TELEMETRY_ADDRESS, words);
-        let mut batch = read_batch(client, &[request], 1, &AtomicBool::new(false));
+        let mut batch = read_batch(client, &[TELEMETRY], 1, &AtomicBool::new(false));
         let block = batch.reads.pop().map_or_else(|| Ok(Vec::new()), |r| r.values)?;
         if let Ok(block) = <[u16; TELEMETRY_WORDS]>::try_from(block.as_slice()) {
             let limit_a = identity.as_ref().and_then(|found| found.current_limit_a);
@@ -39,10 +37,13 @@ pub(super) fn probe(client: &mut RawClient, profile: &DriveProfile) -> Result<Pr
     Ok(report)
 }
 
-pub(super) fn probe_stream(link: &mut StreamLink, profile: &DriveProfile) -> Result<ProbeReport> {
+pub(super) fn probe_stream(
+    link: &mut OwnLink<Framed>,
+    profile: &DriveProfile,
+) -> Result<ProbeReport> {
     let mut report = ProbeReport::of(profile);
     let identity = link.identify()?;
-    let block = link.telemetry()?.to_registers();
+    let block = link.telemetry()?.value.to_registers();
     take(&mut report, &block, identity.current_limit_a, false);
     report.watchdog_s = identity.watchdog_s;
     report.identity = Some(identity);

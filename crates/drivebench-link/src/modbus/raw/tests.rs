@@ -8,8 +8,9 @@ use rand_chacha::ChaCha8Rng;
 use super::*;
 use crate::cell_bus::CellTable;
 use crate::framing::FrameKind;
+use crate::open::modbus_link;
 use crate::scripted::{Delayed, Scripted, frame};
-use crate::virtual_line::{modbus_link, paused};
+use crate::virtual_line::{exchange, paused};
 
 /// From a request to its reply, and between the pieces of one.
 const PIECE: Duration = Duration::from_millis(5);
@@ -67,7 +68,8 @@ fn with_script(
         let unit = Scripted::new(script);
         let timeout = Duration::from_millis(timeout_ms);
         let settings = settings(timeout).link();
-        let link = modbus_link("virtual", FrameKind::Rtu, &settings, &unit);
+        let line = exchange("virtual", FrameKind::Rtu, &settings, &unit);
+        let link = modbus_link(line, settings.unit);
         let mut client = RawClient::over(link, timeout, String::new());
         work(&mut client);
         let counters = client.counters();
