@@ -323,3 +323,67 @@ impl<L: Language> Burst for OwnLink<L> {
         Capture::collect(&name, first_s, period_s, count, block).map(Some)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::{Arc, Mutex};
+
+    use firmware_protocol::stream::{Frame, crc16, encode};
+
+    use super::*;
+    use crate::DriveProfile;
+    use crate::line_bus::Framed;
+    use crate::virtual_line::{Device, exchange, paused};
+    use drivebench_model::sample::Demand;
+
+    /// A drive that answers the third command not at all and the fifth with a frame of version 9; and the first byte of each.
+    struct Odd(Vec<u8>);
+
+    impl Device for Odd {
+        fn receive(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
+            self.0.push(bytes[0]);
+            let seq = u16::try_from(self.0.len()).unwrap();
+            let telemetry = Telemetry { seq, ..Telemetry::default() };
+            let answer = match seq {
+                3 => return Vec::new(),
+                5 => framed_by_hand(&[0x82, 9, 0, 5, 0, 0, 0, 0]),
+                _ => encode(&Frame::telemetry(seq, telemetry)).to_vec(),
+            };
+            vec![(Duration::from_millis(2), answer)]
+        }
+    }
+
+    /// With a check sum that fits, and each zero stuffed.
+    fn framed_by_hand(plain: &[u8]) -> Vec<u8> {
+        let whole = [plain, &crc16(plain).to_be_bytes()].concat();
+        let blocks = whole.split(|byte| *byte == 0);
+        let coded = blocks.flat_map(|block| {
+            let code = u8::try_from(block.len() + 1).unwrap();
+            std::iter::once(code).chain(block.iter().copied())
+        });
+        coded.chain([0]).collect()
+    }
+
+    #[test]
+    fn a_zero_ends_what_the_drive_may_hold_before_the_first_frame_and_after_a_lost_answer() {
+        paused(|| {
+            let profile = DriveProfile::named("own-stream").unwrap();
+            let drive = Arc::new(Mutex::new(Odd(Vec::new())));
+            let line = exchange("virtual", FrameKind::Stream, &profile.link, &drive);
+            let mut link = OwnLink::new(Framed::new(1, None), line);
+            let mut exchanges =
+                (1..=6).map(|seq| link.exchange(Command { seq, demand: Demand::Stop }));
+            assert!(exchanges.by_ref().take(2).all(|sample| sample.is_ok()));
+            assert!(matches!(exchanges.next(), Some(Err(LinkError::Timeout { .. }))));
+            assert!(matches!(exchanges.next(), Some(Ok(_))));
+            assert!(matches!(exchanges.next(), Some(Err(LinkError::Version { found: 9, .. }))));
+            assert!(matches!(exchanges.next(), Some(Ok(_))));
+            let has_zero: Vec<bool> =
+                drive.lock().unwrap().0.iter().map(|first| *first == 0).collect();
+            assert_eq!(has_zero, [true, false, false, true, false, false]);
+            let line = link.line().unwrap();
+            assert_eq!((line.bytes_sent, line.bytes_dropped), (6 * 18 + 2, 0));
+            assert!(link.statistics().balances());
+        });
+    }
+}

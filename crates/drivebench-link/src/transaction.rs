@@ -1,4 +1,4 @@
-//! The transaction layer of the Modbus link, without a port and without a clock.
+//! The transaction layer of every link over a line, without a port and without a clock.
 //!
 //! ```text
 //! request --> proof.rs      synchronisation: silence until .. | probe with .. | in step
@@ -9,7 +9,7 @@
 //!                '--> proof.rs
 //! ```
 //!
-//! modbus.rs executes the steps with tokio-modbus. Pure: its inputs are bytes and times.
+//! exchange.rs executes the steps. Pure: its inputs are bytes and times.
 
 use std::io::{self, ErrorKind};
 use std::sync::Arc;
