@@ -213,11 +213,25 @@ mod tests {
             (write(64, &[1]), "FF FF FD 00 01 06 00 03 40 00 01 DB 66"),
             (read(120, 27), "FF FF FD 00 01 07 00 02 78 00 1B 00 36 E7"),
             (read(100, 2), "FF FF FD 00 01 07 00 02 64 00 02 00 33 81"),
+            (write(64, &[0]), "FF FF FD 00 01 06 00 03 40 00 00 DE E6"),
+            (write(100, &[0x8B, 0xFC]), "FF FF FD 00 01 07 00 03 64 00 8B FC 49 B5"),
+            (read(38, 2), "FF FF FD 00 01 07 00 02 26 00 02 00 2D A9"),
+            (read(44, 4), "FF FF FD 00 01 07 00 02 2C 00 04 00 2D 35"),
+            (read(98, 4), "FF FF FD 00 01 07 00 02 62 00 04 00 33 ED"),
+            (read(33, 113), "FF FF FD 00 01 07 00 02 21 00 71 00 28 6F"),
         ] {
             assert_eq!(request(1, turn), bytes_of(packet_bytes));
             assert_eq!(bytes(turn).0, request(1, turn).len());
         }
-        assert_eq!(packet(1, &[1]), bytes_of("FF FF FD 00 01 03 00 01 19 4E"));
+        let stuffed = "FF FF FD 00 01 0A 00 03 74 00 FF FF FD FD 00 21 E7";
+        assert_eq!(request(1, write(116, &[0xFF, 0xFF, 0xFD, 0])), bytes_of(stuffed));
+        for (id, instruction, packet_bytes) in [
+            (1, 1, "FF FF FD 00 01 03 00 01 19 4E"),
+            (7, 1, "FF FF FD 00 07 03 00 01 19 36"),
+            (1, 8, "FF FF FD 00 01 03 00 08 2F 4E"),
+        ] {
+            assert_eq!(packet(id, &[instruction]), bytes_of(packet_bytes));
+        }
     }
 
     #[test]
