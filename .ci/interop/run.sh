@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Our host against the servers of pymodbus and libmodbus, our software drive against the clients of mbpoll, pymodbus
-# and libmodbus, over RTU and TCP; what our taps recorded is read by tshark, the Parquet of a run by pyarrow.
+# and libmodbus, over RTU and TCP; servo and host of Dynamixel against the library of its maker; what our taps recorded is
+# read by tshark, the Parquet of a run by pyarrow.
 #
 #   .ci/interop/run.sh PROGRAM
 #
@@ -162,6 +163,31 @@ for peer in rtu:"$work/drive.pty" tcp:"$drive_port"; do
     "$python" "$here/pymodbus_peer.py" check "$kind" "$where" || fail "pymodbus client, $kind"
     pass "pymodbus -> drive, $kind"
 done
+
+# --- Dynamixel: the maker's library drives our servo, our host reads a servo on the maker's codec --------------------------
+
+if tried timeout 120 "$work/venv/bin/pip" install -q --disable-pip-version-check 'dynamixel-sdk==4.1.0'; then
+    start "$program" emulate --profile dynamixel-xm430 --pty "$work/servo.pty"
+    until_true test -e "$work/servo.pty"
+    "$python" "$here/dynamixel_peer.py" check "$work/servo.pty" || fail "dynamixel-sdk -> servo"
+    pass "dynamixel-sdk -> servo: PWM mode, goal, refusals, watchdog"
+    pair "$work/dx-host" "$work/dx-servo"
+    start "$python" "$here/dynamixel_peer.py" serve "$work/dx-servo"
+    probe=("$program" probe --drive dynamixel-xm430 --port "$work/dx-host" --json)
+    until_true "${probe[@]}" >"$work/log"
+    "${probe[@]}" >"$work/probe.json" || fail "probe of a servo: $(<"$work/probe.json")"
+    "$python" - "$work/probe.json" <<'CHECK' || fail "probe of a servo: $(<"$work/probe.json")"
+import json, sys
+probe = json.load(open(sys.argv[1], encoding="utf-8"))
+values = {own["name"]: own["value"] for own in probe["signals"]}
+assert probe["verdict"] == "plausible", probe["verdict"]
+assert (values["model"], values["input_voltage"], values["position"]) == (1030, 12, 0xFDFFFF), values
+CHECK
+    pass "probe reads a servo on the codec of dynamixel-sdk, stuffing included"
+else
+    echo "dynamixel-sdk cannot be installed: Dynamixel is NOT checked against it"
+    [ "${DRIVEBENCH_REQUIRE_INTEROP:-0}" != 1 ] || exit 1
+fi
 
 # --- our host and our drive, as the bench uses them: function code 23 ------------------------------------------------
 
