@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
 use drivebench::bench::{
     Bench, BenchFile, Design, Guard, PilotSettings, RowEstimator, RunOptions, Session,
-    SnapshotCell, SpeedPilot, Target, layout_with_reference, loop_timing, run,
+    SnapshotCell, SpeedPilot, Target, layout, loop_timing, run,
 };
 use drivebench::drive::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
 use drivebench::emulator::VirtualClock;
@@ -106,7 +106,7 @@ fn session(bench: &BenchFile) -> Session {
 #[expect(clippy::disallowed_methods, reason = "a benchmark measures time")]
 fn once(bench: &BenchFile, folder: &RunFolder) -> (Duration, u64) {
     let manifest = Manifest::default();
-    let layout = layout_with_reference(&SIGNALS);
+    let layout = layout(&[Channel::Reference, Channel::VoltageCmd], &SIGNALS);
     let mut recorder =
         Recorder::create(folder.clone(), layout, &manifest, 100).expect("a new folder");
     let config = OnlineConfig::from_model(&Model::baseline(bench.motor.motor()));

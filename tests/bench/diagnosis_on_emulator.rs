@@ -53,7 +53,8 @@ impl Specimen {
         );
         let program = Box::new(file.program(run_seed).unwrap());
         let session = Session::new(program, guard).after_seq(self.last_seq);
-        let mut recorder = MemoryRecorder::new(bench::layout(&self.report.signals));
+        let mut recorder =
+            MemoryRecorder::new(bench::layout(&[Channel::VoltageCmd], &self.report.signals));
         let (_screen, intents) = channel();
         let summary = bench::run(
             session,

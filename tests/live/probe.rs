@@ -101,7 +101,9 @@ fn moves_nothing(tap: &Path, protocol: Protocol) {
         Protocol::Dynamixel => {
             (&[&[0xFD, 0, 1, 7, 0, 2]], &[&[0xFD, 0, 1, 7, 0, 3], &[0xFD, 0, 1, 6, 0, 3]])
         }
-        _ => (&[b"test_property", b"?VAR"], &[b"v 0 ", b"requested_state ", b"!G 1", b"!EX", b"!MG"]),
+        _ => {
+            (&[b"test_property", b"?VAR"], &[b"v 0 ", b"requested_state ", b"!G 1", b"!EX", b"!MG"])
+        }
     };
     assert!(requests.iter().any(|request| holds(request)), "{protocol}");
     for command in commands {

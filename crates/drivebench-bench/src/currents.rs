@@ -131,7 +131,8 @@ impl Currents {
             }
             Phase::Driven(way) => {
                 let arrived = way * speed_rad_s >= turn_rad_s;
-                let coasts = self.section.coast_s > 0.0 && self.pair.is_multiple_of(2) == (way > 0.0);
+                let coasts =
+                    self.section.coast_s > 0.0 && self.pair.is_multiple_of(2) == (way > 0.0);
                 let next = if coasts { Phase::Coasting(-way) } else { Phase::Driven(-way) };
                 (arrived || lasted_s >= self.section.longest_s).then_some(next)
             }

@@ -1,7 +1,7 @@
 //! Every recommended run is a bench file that plans within its limits.
 
 use super::*;
-use drivebench_bench::plan;
+use drivebench_bench::plan_run;
 use drivebench_diagnose::{Evidence, next_experiment::menu_within};
 use drivebench_model::plant::{Motor, testing};
 
@@ -23,10 +23,9 @@ fn every_recipe_is_a_bench_file_within_the_limits() {
         let read = BenchFile::parse("next.toml", &text).unwrap();
         assert_eq!(read.sequence, recipe.segments);
         assert!(read.name.ends_with(&recipe.id.replace('_', "-")));
-        let program = read.program(1).unwrap();
         let nameplate = read.nameplate().unwrap();
         // The drive's own limit is 11.4 A.
-        let plan = plan(&program, &nameplate, &read.limits(), 100.0, Some(11.4)).unwrap();
+        let plan = plan_run(&read, 1, &nameplate, 100.0, Some(11.4)).unwrap();
         assert!(!plan.is_refused(), "{}: {:?}", recipe.id, plan.refusals);
         // A bench made from a recommended run has one name, not a chain of them.
         let again = next_bench(&read, recipe, &model, "again");
@@ -46,8 +45,7 @@ fn runs_without_a_bench_get_one_from_their_motor() {
         let read = BenchFile::parse("next.toml", &text).unwrap();
         let nameplate = read.nameplate().unwrap();
         assert!((nameplate.resistance_ohm - 1.7).abs() < 1e-12);
-        let program = read.program(1).unwrap();
-        let plan = plan(&program, &nameplate, &read.limits(), 1000.0, None).unwrap();
+        let plan = plan_run(&read, 1, &nameplate, 1000.0, None).unwrap();
         assert!(!plan.is_refused(), "{}: {:?}", recipe.id, plan.refusals);
         assert!(plan.peak_voltage_v <= 55.0, "{}", plan.peak_voltage_v);
     }
