@@ -51,6 +51,14 @@ impl EnableSequence {
                 _ => {}
             }
         }
+        // What a drive shows behind a stop it shows before the first enable as well.
+        for step in &map.commands.stop {
+            if let Step::Wait { condition, .. } = step
+                && is_shown_at_rest(map, condition)
+            {
+                at_rest.push(condition.clone());
+            }
+        }
         let stops = words(map, &map.commands.stop);
         let coasts = words(map, &map.commands.coast);
         let all = words(map, &map.commands.reset);

@@ -239,6 +239,12 @@ impl ForeignDrive {
         self.written.get(&point.location.address).copied()
     }
 
+    /// What was written to a set-point last, in its unit; `None`: nothing since it was switched on.
+    #[cfg(test)]
+    fn value_of(&self, set_point: &str) -> Option<f64> {
+        self.value(self.map.set_point(set_point)?)
+    }
+
     /// Lets a signal show these bits whatever is true; `None`: as it is again.
     pub fn force(&mut self, signal: &str, pattern: Option<u32>) {
         match pattern {

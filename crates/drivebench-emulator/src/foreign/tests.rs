@@ -449,6 +449,26 @@ fn a_memory_that_wears_out_is_not_written_in_a_loop() {
     assert_contains(&error.unwrap(), "memory that wears out");
 }
 
+/// As a line without a check sum loses a digit.
+#[test]
+fn one_wrong_voltage_of_the_supply_does_not_raise_the_duty() {
+    const SUPPLY: &str = "[signals.supply]\ncan = [0x2104, 1]\ntype = \"i32\"\nscale = 0.1\nunit = \"V\"\nquantity = \"bus_voltage\"\norigin = \"measured\"\npoll = \"fast\"\n\n[missing]";
+    let mut table = Table::identified("roboteq-dc", &[("[missing]", SUPPLY)]);
+    table.ask(Demand::Voltage(6.0), 20);
+    let duty = |table: &mut Table| table.far().value_of("power_ref").unwrap();
+    let before = duty(&mut table);
+    assert!((before - 5.0).abs() < 0.2, "{before} % of 120 V");
+    // A tenth of it in one reading, and half of it in all.
+    table.far().force("supply", Some(120));
+    table.ask(Demand::Voltage(6.0), 1);
+    table.far().force("supply", None);
+    table.ask(Demand::Voltage(6.0), 1);
+    assert!((duty(&mut table) - before).abs() < 0.2);
+    table.far().force("supply", Some(600));
+    table.ask(Demand::Voltage(6.0), 5);
+    assert!((duty(&mut table) - 10.0).abs() < 0.2, "{}", duty(&mut table));
+}
+
 #[test]
 fn unknown_requests_get_the_exact_exception() {
     let mut table = Table::new("toshiba-vfs11");

@@ -49,6 +49,8 @@ pub(super) struct Readings {
     /// Positions that begin again somewhere, followed over that: by position in the map, the last raw number and how far it
     /// was when it was read, counts.
     positions: BTreeMap<usize, Position>,
+    /// The latest voltages of the supply, in the unit of their signal; NaN before.
+    supply: [f64; 3],
     /// Values that were no value: an invalid code, out of the valid range, not finite.
     pub(super) rejected: u64,
 }
@@ -62,6 +64,7 @@ impl Readings {
             slow_due_s: f64::NEG_INFINITY,
             last: vec![Reading::default(); map.signals.len()],
             positions: BTreeMap::new(),
+            supply: [f64::NAN; 3],
             rejected: 0,
             map,
         }
@@ -194,6 +197,10 @@ impl Readings {
                 _ => value,
             };
             self.rejected += u64::from(value.is_none());
+            let is_supply = self.map.signals[*index].channel.is_some_and(|c| c.0 == Channel::Bus);
+            if let Some(volts) = value.filter(|_| is_supply) {
+                self.supply = [self.supply[1], self.supply[2], volts];
+            }
             self.last[*index] = Reading { value, pattern, span: read.span };
         }
         self.compute(&block.signals, read.span);
@@ -247,12 +254,12 @@ impl Readings {
         Some(self.get(&signal.name)?.value? * si)
     }
 
-    /// What one unit of a set-point is in SI; of a duty by the supply as it was last read.
+    /// What one unit of a set-point is in SI; of a duty by the largest of the latest voltages of the supply: a line without a check sum
+    /// may lose a digit, and a tenth of the supply would be ten times the duty.
     pub(super) fn demand_si(&self, point: &SetPoint) -> Option<f64> {
         let percent_v = || {
-            let bus = self.map.of_channel(Channel::Bus)?;
-            let (_, si) = bus.channel?;
-            Some(0.01 * si * self.get(&bus.name)?.value?)
+            let (_, si) = self.map.of_channel(Channel::Bus)?.channel?;
+            Some(0.01 * si * self.supply.into_iter().fold(f64::NAN, f64::max))
         };
         let is_duty = point.keys.quantity == Quantity::Duty;
         point.si.or_else(|| percent_v().filter(|volts| is_duty && *volts > 0.0))
