@@ -8,6 +8,7 @@
 
 mod first_move;
 mod judge;
+mod motion;
 mod pulse;
 mod rest;
 

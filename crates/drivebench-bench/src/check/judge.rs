@@ -11,6 +11,7 @@
 
 use std::ops::Range;
 
+use super::motion;
 use super::pulse::{Leg, Point, Size};
 use crate::limits::Nameplate;
 use drivebench_control::Actuator;
@@ -102,6 +103,7 @@ pub(super) fn direction(
     let mut figures = texts.join("; ");
     let refusal =
         legs.iter().zip(&all).find_map(|(leg, extremes)| fault(known, leg.direction, extremes));
+    let refusal = refusal.or_else(|| motion::angle_fault(known, legs));
     if refusal.is_none() {
         let is_small =
             |found: &Extremes| found.current_a.is_some_and(|amps| amps.abs() <= known.flowed_a());
@@ -112,6 +114,7 @@ pub(super) fn direction(
         } else if all.iter().any(is_small) {
             figures.push_str("; the current stays within its noise, so its sign is not determined");
         }
+        figures.extend(motion::one_sided(known, legs));
         if all.iter().all(|extremes| extremes.speed_rad_s.is_none()) {
             figures.push_str("; without a speed the direction of the shaft is not determined");
         }

@@ -117,6 +117,7 @@ impl Size {
 /// One instant of a pulse.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Point {
+    pub(super) time_s: f64,
     /// Beyond what holds the load.
     pub(super) demand: f64,
     pub(super) voltage_v: Option<f64>,
@@ -195,6 +196,7 @@ impl Leg {
         self.pause_s = self.pause_s.into_iter().chain(pause_s).reduce(f64::max);
         self.last_s = Some(sample.time_s);
         let point = Point {
+            time_s: sample.time_s,
             demand,
             voltage_v: sample.get(Channel::Voltage).or(sent.voltage_v()),
             current_a,
