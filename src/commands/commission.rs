@@ -18,7 +18,9 @@ use std::sync::atomic::Ordering;
 use crate::commands::arguments::{LiveArguments, UnknownMotor};
 use crate::commands::by_hand::{ScreenResult, Shown};
 use crate::commands::evidence::admit_later;
-use crate::commands::run::{BETWEEN_RUNS, RunDone, escalate, escalation_failure, run};
+use crate::commands::run::{
+    BETWEEN_RUNS, RunDone, escalate, escalation_failure, find_by_currents, run,
+};
 use crate::commands::speed::{SpeedRequest, speed};
 use crate::commands::{by_hand, pages};
 use crate::report::wording::diagnosis as words;
@@ -226,14 +228,20 @@ fn step(
             workflow.checked(&report?);
         }
         Task::Escalate => {
-            let result = escalate(rig, controls, |line| {
+            let print = |line: &str| {
                 workflow.escalating(line);
                 publish(&workflow.progress());
-            })?;
-            if let Some(failure) = escalation_failure(&result) {
-                return Err(failure);
+            };
+            if rig.bench.currents.is_some() {
+                let sentence = find_by_currents(rig, controls, print)?;
+                workflow.found(rig.nameplate()?.motor(), &sentence);
+            } else {
+                let result = escalate(rig, controls, print)?;
+                if let Some(failure) = escalation_failure(&result) {
+                    return Err(failure);
+                }
+                workflow.escalated(rig.nameplate()?.motor(), result);
             }
-            workflow.escalated(rig.nameplate()?.motor(), result);
         }
         Task::Plan => {
             for seed in [runs.select, runs.confirm, runs.repeat] {

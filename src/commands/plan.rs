@@ -11,8 +11,8 @@ use crate::runtime::opening::wired_profile;
 use crate::runtime::output::{Terminal, lines};
 use crate::runtime::rig::failed_plan;
 use drivebench_bench::{
-    BenchFile, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, PlanError, Port, Reference,
-    plan_escalation, plan_run,
+    BenchFile, CurrentsSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, PlanError,
+    Port, Reference, plan_escalation, plan_run,
 };
 use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 
@@ -52,6 +52,18 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
 }
 
 fn unknown_text(unknown: &Unknown) -> String {
+    if let Some(search) = &unknown.search {
+        let mut text = format!(
+            "the motor is not known: before the sequence it is found by currents that rise, {:?} A, and reverse at {:?} rad/s, for {:.0} s; \
+             the sequence is then fitted to it\n",
+            search.levels_a,
+            search.turn_rad_s,
+            search.duration_s()
+        );
+        lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
+        lines(&mut text, "warning: ", &unknown.warnings);
+        return text;
+    }
     let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
     if let Some(steps) = &unknown.escalation {
         let first = &steps.first;
@@ -184,6 +196,9 @@ struct Known {
 #[derive(Serialize)]
 struct Unknown {
     escalation: Option<EscalationPlan>,
+    /// In its place for a drive that is commanded by current.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    search: Option<CurrentsSection>,
     line: Option<LineBudget>,
     warnings: Vec<String>,
 }
@@ -245,10 +260,15 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
             );
             return Err(Failure::usage(headline, "complete [motor]"));
         }
-        let escalation = plan_escalation(&bench)
-            .map_err(|error| failed_plan(&bench.name, PlanError::Sequence(error)))?;
+        let search = bench
+            .currents
+            .as_ref()
+            .map(|_| CurrentsSection::search(&bench.motor, &bench.limits(), bench.period_s()));
+        let escalation = if search.is_some() { Ok(None) } else { plan_escalation(&bench) };
+        let escalation =
+            escalation.map_err(|error| failed_plan(&bench.name, PlanError::Sequence(error)))?;
         warnings.extend(bench.motor.contradictions());
-        return Ok(Forecast::Unknown(Box::new(Unknown { escalation, line, warnings })));
+        return Ok(Forecast::Unknown(Box::new(Unknown { escalation, search, line, warnings })));
     };
     let mut plan = plan_run(&bench, bench.runs.fit, &nameplate, rate_hz, None)
         .map_err(|error| failed_plan(&bench.name, error))?;

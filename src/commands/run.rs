@@ -18,14 +18,16 @@ use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
 use drivebench_bench::recording::RunFile;
-use drivebench_bench::{CheckReport, Plan, RunSummary};
+use drivebench_bench::{CheckReport, CurrentsSection, Plan, RunSummary};
 use drivebench_diagnose::{Evidence, Score};
 use drivebench_identify::escalation::Ending;
 use drivebench_identify::nameplate::{Comparison, NameplateDoubt};
 use drivebench_identify::noise::FloorSource;
+use drivebench_identify::scheme::{self, Data};
 use drivebench_identify::start;
 use drivebench_model::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
 use drivebench_model::sample::Verdict;
+use drivebench_model::text::number::significant;
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
 #[derive(clap::Args)]
@@ -137,7 +139,13 @@ pub(crate) fn run(
         print_checks(&report, terminal);
     }
     let mut escalation = None;
-    if rig.escalates {
+    if rig.escalates && rig.bench.currents.is_some() {
+        find_by_currents(&mut rig, controls, |line| {
+            if let Some(terminal) = &printed {
+                terminal.message(line);
+            }
+        })?;
+    } else if rig.escalates {
         let result = escalate(&mut rig, controls, |line| {
             if let Some(terminal) = &printed {
                 terminal.message(line);
@@ -309,6 +317,71 @@ fn run_result(whole: &CompletedRun) -> RunResult<'_> {
             .collect(),
     }
 }
+
+/// Finds an unknown motor by small currents that rise, and fits the currents of the bench to it; what was found, in a sentence.
+pub(crate) fn find_by_currents(
+    rig: &mut Rig,
+    controls: &Controls,
+    mut print: impl FnMut(&str),
+) -> Result<String, Failure> {
+    let (limits, period_s) = (rig.bench.limits(), rig.bench.period_s());
+    let section = CurrentsSection::search(&rig.bench.motor, &limits, period_s);
+    let most_a = section.levels_a.last().copied().unwrap_or_default();
+    print(&format!(
+        "search: currents that rise to {most_a:.3} A, for {:.0} s",
+        section.duration_s()
+    ));
+    let name = format!("{}-search", rig.bench.name);
+    let recorded = rig.record_search(&name, &section, controls)?;
+    if let Some(failure) = recorded.run_failure() {
+        return Err(failure);
+    }
+    let run = recorded.load()?.run;
+    let scenario = Scenario::from_run(&run)?;
+    let mut motor = rig.bench.motor.motor();
+    let model = Model::baseline(motor.clone());
+    let scheme = scheme::default_for(&scenario);
+    let found = scheme.identify(&Data { run: &run, scenario: &scenario, model: &model })?;
+    let mut reason = None;
+    for own in &found.parameters {
+        match (MotorKey::from_key(&own.key), own.value) {
+            (Some(key), Some(value)) => motor.set(key, value),
+            (Some(MotorKey::Inertia | MotorKey::LoadTorque), None) => {
+                reason = reason.or_else(|| own.reason.clone());
+            }
+            _ => {}
+        }
+    }
+    // The drive controls the current: the inductance is in no result, and only the watch over the voltage takes it.
+    if let (Some(ohm), None) = (motor.get(MotorKey::Resistance), motor.get(MotorKey::Inductance)) {
+        motor.set(MotorKey::Inductance, ASSUMED_TIME_CONSTANT_S * ohm);
+    }
+    let Some(nameplate) = rig.bench.motor.with_found(&motor).filter(|_| reason.is_none()) else {
+        let why = reason.unwrap_or_else(|| "the drive gives no voltage".to_owned());
+        return Err(Failure::with_help(
+            NOT_IDENTIFIABLE,
+            format!("the motor was not found by small currents: {why}"),
+            "give the motor's data in [motor]; of a drive without a voltage resistance_ohm and back_emf_v_s_per_rad are needed",
+        ));
+    };
+    let sentence = format!(
+        "found: J {} kg.m2, Mc {} N.m, Ke {} V.s/rad, R {} ohm",
+        significant(nameplate.inertia_kg_m2, 3),
+        significant(nameplate.load_torque_n_m, 3),
+        significant(nameplate.back_emf_v_s_per_rad, 3),
+        significant(nameplate.resistance_ohm, 3)
+    );
+    print(&sentence);
+    rig.bench.motor = (&nameplate).into();
+    let mut fitted = CurrentsSection::for_motor(&nameplate, &limits, period_s);
+    let ends_s = fitted.duration_s() - fitted.seconds;
+    fitted.seconds = fitted.seconds.min(limits.time_s - ends_s - period_s).max(period_s);
+    rig.bench.currents = Some(fitted);
+    Ok(sentence)
+}
+
+/// L/R of a winding that no run shows, s.
+const ASSUMED_TIME_CONSTANT_S: f64 = 1e-3;
 
 /// Runs the stages until the motor is found or the reason why not is named. A motor that is found becomes the nameplate of
 /// the rig. `print` gets a line for each stage.

@@ -23,10 +23,10 @@ use drivebench_bench::recording::{
 };
 use drivebench_bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, CurrentsPilot,
-    FirstMove, Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice, OnlineSettings, Outcome,
-    Plan, PlanError, Port, RATE_CHECK, ReopenBench, ReopenOptions, Reopened, RowEstimator,
-    RunOptions, RunSummary, Session, Snapshot, SpeedPilot, Target, Waivers, check, layout,
-    manifest, measure_delay, plan_run, reopen, run, stage_session,
+    CurrentsSection, FirstMove, Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice,
+    OnlineSettings, Outcome, Plan, PlanError, Port, RATE_CHECK, ReopenBench, ReopenOptions,
+    Reopened, RowEstimator, RunOptions, RunSummary, Session, Snapshot, SpeedPilot, Target, Waivers,
+    check, layout, manifest, measure_delay, plan_run, reopen, run, stage_session,
 };
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use drivebench_identify::escalation::Stage;
@@ -216,12 +216,6 @@ impl Rig {
     }
 
     fn checked(&mut self, controls: &Controls, at_rest: bool) -> Result<CheckReport, Failure> {
-        if self.escalates && self.bench.currents.is_some() {
-            return Err(Failure::usage(
-                "small steps of voltage find an unknown motor, and this bench commands a current",
-                "give the motor's data in [motor]",
-            ));
-        }
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::usage(
                 "the small steps that find an unknown motor would let a vertical load fall",
@@ -323,7 +317,7 @@ impl Rig {
         let guard = self.guard(&motor);
         let session = if let Some(currents) = &self.bench.currents {
             let silence_s = self.bench.limits().link_silence_s;
-            let pilot = CurrentsPilot::new(currents, seed, silence_s);
+            let pilot = CurrentsPilot::new(currents, Some(seed), silence_s);
             Session::with_pilot(Box::new(pilot), guard)
         } else {
             let brake = self.bench.load.brake();
@@ -333,6 +327,21 @@ impl Rig {
         };
         let run = Planned { session, motor: Some(motor), follows: false, speed: None };
         self.record_session(name, seed, run, controls)
+    }
+
+    /// Records the search for an unknown motor by currents whose levels rise.
+    pub(crate) fn record_search(
+        &mut self,
+        name: &str,
+        section: &CurrentsSection,
+        controls: &Controls,
+    ) -> Result<Recorded, Failure> {
+        let limits = self.bench.limits();
+        let pilot = CurrentsPilot::new(section, None, limits.link_silence_s);
+        let guard = Guard::for_unknown_motor(limits, None, 0.0).with_period(self.bench.period_s());
+        let session = Session::with_pilot(Box::new(pilot), guard);
+        let run = Planned { session, motor: None, follows: false, speed: None };
+        self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
     /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not report it.

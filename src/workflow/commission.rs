@@ -162,10 +162,14 @@ impl Commission {
 
     /// The motor was found: the next steps use it.
     pub fn escalated(&mut self, found: Motor, result: EscalationResult) {
-        self.nameplate = Model::baseline(found);
-        let line = result.sentence.clone();
+        self.found(found, &result.sentence);
         self.escalation = Some(result);
-        self.step_done(Step::Find, &line, Task::Plan);
+    }
+
+    /// The same with a sentence about the search.
+    pub fn found(&mut self, found: Motor, sentence: &str) {
+        self.nameplate = Model::baseline(found);
+        self.step_done(Step::Find, sentence, Task::Plan);
     }
 
     pub fn planned(&mut self, plan: &Plan) {

@@ -35,6 +35,20 @@ fn a_locked_rotor_and_an_open_phase_are_named() {
 }
 
 #[test]
+fn small_currents_find_the_motor_of_a_drive_without_voltage_command() {
+    let desk = Desk::new();
+    let rated =
+        "name = \"x\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n";
+    let (motor, bench) = (desk.put("motor.toml", rated), desk.path("bench.toml"));
+    call("init --drive vesc-foc --port sim: --motor {} --out {}", &[&motor, &bench]).expect(0);
+    has(&call("plan {}", &[&bench]).expect(0).stdout, &["found by currents that rise"]);
+    let options = "run {} --headless --json --emulator zk-22fc-viscous --out {}";
+    let done = call(options, &[&bench, &desk.path("runs")]).expect(0);
+    has(&done.stderr, &["search: currents that rise to 2.850 A", "found: J 0.0041"]);
+    assert_eq!(done.json()["outcome"], "done");
+}
+
+#[test]
 fn noise_never_passes_for_the_current_of_an_open_phase() {
     // With these seeds it once did, and the voltage went to four times the safe one.
     for seed in [8, 28, 53] {

@@ -372,10 +372,6 @@ impl BenchFile {
                 "a known motor: the small steps that find an unknown one would let the load fall";
             return not_allowed("load.vertical", "true".to_owned(), allowed);
         }
-        if self.currents.is_some() && self.motor.is_unknown() {
-            let allowed = "a known motor: small steps of voltage find an unknown one";
-            return not_allowed("currents", "given".to_owned(), allowed);
-        }
         if self.currents.is_some() && load.vertical {
             let allowed = "false with [currents]: a load that pulls is not held meanwhile";
             return not_allowed("load.vertical", "true".to_owned(), allowed);

@@ -10,11 +10,21 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
-use super::limits::Limits;
+use super::limits::{Limits, MotorSection, Nameplate, short};
 use super::pilot::Pilot;
 use super::trip::{Trip, TripKind};
 use drivebench_model::sample::{Channel, Demand, Sample};
 
+/// Shares of the current for acceleration, and of the highest speed at which it reverses.
+const LEVELS: [f64; 4] = [0.2, 0.4, 0.7, 1.0];
+pub(super) const TURNS: [f64; 3] = [0.15, 0.45, 0.8];
+/// Periods between two reversals at the highest speed with the highest level: fewer do not show the acceleration.
+const SWING_PERIODS: f64 = 48.0;
+/// The friction may be larger than that of the nameplate.
+const FRICTION_MARGIN: f64 = 1.1;
+/// Shares of the rated current and of the rated speed with which an unknown motor is searched for.
+const SEARCH_LEVELS: [f64; 5] = [0.03, 0.06, 0.12, 0.25, 0.5];
+const SEARCH_TURNS: [f64; 2] = [0.1, 0.4];
 /// Highest share of the speed limit at which the current may reverse: the shaft runs on for the delay of a cycle.
 const MOST_OF_LIMIT: f64 = 0.8;
 /// Share of the longest time of a reversal in which the shaft is braked at the end.
@@ -55,6 +65,55 @@ const fn default_longest_s() -> f64 {
 }
 
 impl CurrentsSection {
+    /// What shows the inertia and the friction of this motor.
+    pub fn for_motor(motor: &Nameplate, limits: &Limits, period_s: f64) -> Self {
+        let back_emf = motor.back_emf_v_s_per_rad;
+        let friction_a = FRICTION_MARGIN * motor.load_torque_n_m / back_emf;
+        let most_a = motor.rated_current_a.min(0.6 * limits.current_a);
+        let top_rad_s = motor
+            .rated_speed_rad_s
+            .min(0.7 * limits.speed_rad_s)
+            .min(0.8 * (limits.voltage_v - motor.resistance_ohm * most_a).max(0.0) / back_emf);
+        // From the highest speed of one direction to that of the other.
+        let crossing = 2.0 * TURNS[2] * top_rad_s / (SWING_PERIODS * period_s);
+        let accelerating_a =
+            (most_a - friction_a).max(0.3 * most_a).min(motor.inertia_kg_m2 * crossing / back_emf);
+        let turn_rad_s = TURNS.map(|share| short(share * top_rad_s));
+        let acceleration = |level: f64| level * accelerating_a * back_emf / motor.inertia_kg_m2;
+        // Back and forth at every level and speed; friction makes one way longer and the other shorter.
+        let pairs = LEVELS.iter().flat_map(|&level| turn_rad_s.map(|turn| (level, turn)));
+        let pass_s: f64 = pairs.map(|(level, turn)| 4.0 * turn / acceleration(level)).sum();
+        let longest_s = 4.0 * 2.0 * turn_rad_s[2] / acceleration(LEVELS[0]);
+        let coast_s = 0.25 * pass_s / LEVELS.len() as f64;
+        Self {
+            levels_a: LEVELS.map(|level| short(friction_a + level * accelerating_a)).to_vec(),
+            turn_rad_s: turn_rad_s.to_vec(),
+            // The noise at rest follows from 20 rows; a minute of a slow line is too short.
+            rest_s: (40.0 * period_s).max(0.5),
+            seconds: (1.5 * pass_s).clamp(10.0, (1200.0 * period_s).max(60.0)).ceil(),
+            longest_s: short(longest_s.clamp(20.0 * period_s, 10.0)),
+            coast_s: short(coast_s.clamp(5.0 * period_s, 1.0)),
+            seed: 1,
+        }
+    }
+
+    /// Small currents that rise, for a motor of which only the rated values are known.
+    pub fn search(motor: &MotorSection, limits: &Limits, period_s: f64) -> Self {
+        let most_a = motor.rated_current_a.min(0.6 * limits.current_a);
+        let most_rad_s = motor.rated_speed_rad_s.min(limits.speed_rad_s);
+        let longest_s = (60.0 * period_s).max(1.0);
+        let swings = 2.0 * (SEARCH_LEVELS.len() * SEARCH_TURNS.len()) as f64;
+        Self {
+            levels_a: SEARCH_LEVELS.map(|share| short(share * most_a)).to_vec(),
+            turn_rad_s: SEARCH_TURNS.map(|share| short(share * most_rad_s)).to_vec(),
+            rest_s: (40.0 * period_s).max(0.5),
+            seconds: (swings * longest_s).ceil(),
+            longest_s: short(longest_s),
+            coast_s: 0.0,
+            seed: 1,
+        }
+    }
+
     pub fn duration_s(&self) -> f64 {
         self.seconds + BRAKE_SHARE * self.longest_s + 2.0 * self.rest_s
     }
@@ -105,13 +164,16 @@ pub(super) struct Currents {
 }
 
 impl Currents {
-    pub(super) fn new(section: &CurrentsSection, run_seed: u64) -> Self {
+    /// `run_seed`: of the order; without one the levels stay in their order.
+    pub(super) fn new(section: &CurrentsSection, run_seed: Option<u64>) -> Self {
         let levels = section.levels_a.iter();
         let mut pairs: Vec<(f64, f64)> = levels
             .flat_map(|level| section.turn_rad_s.iter().map(|turn| (*level, *turn)))
             .collect();
-        let seed = section.seed.wrapping_add(run_seed.wrapping_mul(1000));
-        pairs.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        if let Some(run_seed) = run_seed {
+            let seed = section.seed.wrapping_add(run_seed.wrapping_mul(1000));
+            pairs.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
+        }
         Self { section: section.clone(), pairs, pair: 0, phase: Phase::Rest, since_s: 0.0 }
     }
 
@@ -174,7 +236,7 @@ impl Currents {
 /// The sequence as a pilot of a session.
 pub struct CurrentsPilot {
     section: CurrentsSection,
-    run_seed: u64,
+    run_seed: Option<u64>,
     currents: Currents,
     /// Longest time without a speed, s.
     silence_s: f64,
@@ -184,7 +246,8 @@ pub struct CurrentsPilot {
 }
 
 impl CurrentsPilot {
-    pub fn new(section: &CurrentsSection, run_seed: u64, silence_s: f64) -> Self {
+    /// `run_seed`: as of [`Currents`].
+    pub fn new(section: &CurrentsSection, run_seed: Option<u64>, silence_s: f64) -> Self {
         Self {
             section: section.clone(),
             run_seed,
@@ -237,7 +300,6 @@ impl Pilot for CurrentsPilot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::limits::Nameplate;
 
     fn section() -> CurrentsSection {
         CurrentsSection {
@@ -272,7 +334,7 @@ mod tests {
 
     #[test]
     fn the_current_reverses_at_the_speeds_and_ends_at_rest() {
-        let rows = run(Currents::new(&section(), 1), 0.004);
+        let rows = run(Currents::new(&section(), Some(1)), 0.004);
         let beyond = rows.iter().map(|row| row[2].abs()).fold(0.0, f64::max);
         // One period of the highest acceleration beyond the highest speed.
         assert!((100.0..105.0).contains(&beyond), "{beyond}");
@@ -291,13 +353,13 @@ mod tests {
         let [_, amperes, speed] = rows[rows.len() - 1];
         assert!(amperes == 0.0 && speed.abs() < 10.0, "{amperes} A, {speed} rad/s");
         // Another seed is another order.
-        let currents = |seed| run(Currents::new(&section(), seed), 0.004);
+        let currents = |seed| run(Currents::new(&section(), Some(seed)), 0.004);
         assert!(currents(1) == rows && currents(2) != rows);
     }
 
     #[test]
     fn a_shaft_that_is_held_sees_both_signs() {
-        let rows = run(Currents::new(&section(), 1), 1e9);
+        let rows = run(Currents::new(&section(), Some(1)), 1e9);
         let signs = [1.0, -1.0].map(|way| rows.iter().filter(|row| row[1] * way > 0.0).count());
         assert!(signs.iter().all(|count| *count > 400), "{signs:?}");
     }

@@ -177,7 +177,7 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
             ));
         }
     };
-    if purpose != InitUse::Voltages && motor.is_unknown() {
+    if purpose == InitUse::SpeedLoop && motor.is_unknown() {
         let key = motor.missing().unwrap_or("motor.unknown = false");
         return Err(InitError::new(
             format!(
@@ -263,17 +263,6 @@ fn name(motor: &str, drive: &str) -> String {
     let text = format!("{motor}-{drive}").to_ascii_lowercase();
     let parts = text.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
     parts.collect::<Vec<_>>().join("-")
-}
-
-/// Rounded down to four digits: a limit must not grow.
-fn short(value: f64) -> f64 {
-    if !(value.is_finite() && value > 0.0) {
-        return value;
-    }
-    let step = 10_f64.powf(value.log10().floor() - 3.0);
-    let whole = (value / step + 1e-6).floor();
-    // A step below one has a whole inverse, and a division by it gives the shortest decimal.
-    if step < 1.0 { whole / (1.0 / step).round() } else { whole * step }
 }
 
 #[cfg(test)]

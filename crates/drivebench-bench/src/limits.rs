@@ -272,6 +272,17 @@ fn default_slew_v_per_s(motor: &Nameplate) -> f64 {
     2.0 * motor.rated_current_a * motor.resistance_ohm / mechanical_s
 }
 
+/// Rounded down to four digits: a limit must not grow.
+pub(super) fn short(value: f64) -> f64 {
+    if !(value.is_finite() && value > 0.0) {
+        return value;
+    }
+    let step = 10_f64.powf(value.log10().floor() - 3.0);
+    let whole = (value / step + 1e-6).floor();
+    // A step below one has a whole inverse, and a division by it gives the shortest decimal.
+    if step < 1.0 { whole / (1.0 / step).round() } else { whole * step }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -198,7 +198,7 @@ pub fn plan_run(
         let program = bench.program(run_seed)?;
         return Ok(plan(&program, motor, &limits, rate_hz, drive_current_limit_a)?);
     };
-    let mut currents = Currents::new(section, run_seed);
+    let mut currents = Currents::new(section, Some(run_seed));
     Ok(predict(&mut currents, motor, &limits, rate_hz, drive_current_limit_a)?)
 }
 

@@ -1,8 +1,8 @@
 //! The rate and every limit, each with its reason: the smallest of what nameplate, profile and drive allow.
 
-use super::{InitRequest, Reasoned, short};
+use super::{InitRequest, Reasoned};
 use crate::bench_file::{BenchFile, LimitsSection, Port};
-use crate::limits::OVER_SPEED_IN_RATED;
+use crate::limits::{OVER_SPEED_IN_RATED, short};
 use drivebench_link::register_map::Quantity;
 use drivebench_link::{LineBudget, LostReply};
 use drivebench_model::sample::Channel;

@@ -228,7 +228,7 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
             plan.peak_current_ratio,
             plan.peak_speed_rad_s
         ));
-    } else if purpose == InitUse::Voltages {
+    } else if purpose != InitUse::SpeedLoop {
         page.comment("The excitation, made to fit the motor once it has been found.");
     }
     for segment in &bench.sequence {

@@ -1,11 +1,11 @@
 //! The sequence of a new bench file: the rich excitation, as large as the limits allow, and a reference for `speed`.
 
 use super::limits::set_point;
-use super::{InitError, InitRequest, InitUse, Reasoned, short};
+use super::{InitError, InitRequest, InitUse, Reasoned};
 use crate::bench_file::{BenchFile, Cells, SPEED_ENDS_S, cells};
-use crate::currents::CurrentsSection;
+use crate::currents::{CurrentsSection, TURNS};
 use crate::escalate::scale;
-use crate::limits::Nameplate;
+use crate::limits::{Nameplate, short};
 use crate::plan::{Plan, plan, plan_run};
 use crate::speed::{ControllerKind, ReferencePart, SpeedSection};
 use drivebench_link::register_map::Quantity;
@@ -35,11 +35,7 @@ pub(super) fn fit(
             bench.sequence = vec![Segment::Standstill(Standstill { seconds: 1.0 })];
         }
         InitUse::Voltages => voltages(bench, request, nameplate.as_ref(), &mut fitted)?,
-        InitUse::Currents => {
-            if let Some(nameplate) = &nameplate {
-                currents(bench, request, nameplate, &mut fitted)?;
-            }
-        }
+        InitUse::Currents => currents(bench, request, nameplate.as_ref(), &mut fitted)?,
     }
     if let Some(nameplate) = &nameplate {
         let speed = speed_section(bench, request, nameplate, purpose);
@@ -57,6 +53,8 @@ pub(super) fn fit(
         );
     }
     let sequence_s = match &bench.currents {
+        // The sequence that is fitted to an unknown motor takes a minute.
+        Some(currents) if nameplate.is_none() => currents.duration_s().max(70.0),
         Some(currents) => currents.duration_s(),
         None => bench.program(bench.runs.fit)?.duration_s(),
     };
@@ -136,54 +134,25 @@ fn voltages(
     Ok(())
 }
 
-/// Shares of the current for acceleration, and of the highest speed at which it reverses.
-const CURRENT_LEVELS: [f64; 4] = [0.2, 0.4, 0.7, 1.0];
-const TURNS: [f64; 3] = [0.15, 0.45, 0.8];
-/// Periods between two reversals at the highest speed with the highest level: fewer do not show the acceleration.
-const SWING_PERIODS: f64 = 48.0;
-/// The friction may be larger than that of the nameplate.
-const FRICTION_MARGIN: f64 = 1.1;
-/// Rows of a rest from which the noise follows, and of a whole sequence of a slow line.
-const REST_PERIODS: f64 = 40.0;
-const LEAST_PERIODS: f64 = 1200.0;
-
-/// Levels of current that accelerate beyond the friction, and the speeds at which they reverse.
+/// Levels of current that accelerate beyond the friction, and the speeds at which they reverse; small ones that rise for a motor that
+/// is not known.
 fn currents(
     bench: &mut BenchFile,
     request: &InitRequest<'_>,
-    nameplate: &Nameplate,
+    nameplate: Option<&Nameplate>,
     fitted: &mut Fitted,
 ) -> Result<(), InitError> {
     let (limits, period_s) = (bench.limits(), bench.period_s());
-    let back_emf = nameplate.back_emf_v_s_per_rad;
-    let friction_a = FRICTION_MARGIN * nameplate.load_torque_n_m / back_emf;
-    let most_a = nameplate.rated_current_a.min(0.6 * limits.current_a);
-    let top_rad_s = nameplate
-        .rated_speed_rad_s
-        .min(0.7 * limits.speed_rad_s)
-        .min(0.8 * (limits.voltage_v - nameplate.resistance_ohm * most_a).max(0.0) / back_emf);
-    // Acceleration from the highest speed of one direction to that of the other in SWING_PERIODS.
-    let crossing = 2.0 * TURNS[2] * top_rad_s / (SWING_PERIODS * period_s);
-    let accelerating_a =
-        (most_a - friction_a).max(0.3 * most_a).min(nameplate.inertia_kg_m2 * crossing / back_emf);
-    let turn_rad_s = TURNS.map(|share| short(share * top_rad_s));
-    let acceleration = |level: f64| level * accelerating_a * back_emf / nameplate.inertia_kg_m2;
-    // Back and forth at every level and speed; friction makes one way longer and the other shorter.
-    let pairs = CURRENT_LEVELS.iter().flat_map(|&level| turn_rad_s.map(|turn| (level, turn)));
-    let pass_s: f64 = pairs.map(|(level, turn)| 4.0 * turn / acceleration(level)).sum();
-    let longest_s = 4.0 * 2.0 * turn_rad_s[2] / acceleration(CURRENT_LEVELS[0]);
-    let coast_s = 0.25 * pass_s / CURRENT_LEVELS.len() as f64;
-    let section = CurrentsSection {
-        levels_a: CURRENT_LEVELS.map(|level| short(friction_a + level * accelerating_a)).to_vec(),
-        turn_rad_s: turn_rad_s.to_vec(),
-        rest_s: (REST_PERIODS * period_s).max(0.5),
-        seconds: (1.5 * pass_s).clamp(10.0, (LEAST_PERIODS * period_s).max(60.0)).ceil(),
-        longest_s: short(longest_s.clamp(20.0 * period_s, 10.0)),
-        coast_s: short(coast_s.clamp(5.0 * period_s, 1.0)),
-        seed: 1,
+    let Some(nameplate) = nameplate else {
+        bench.currents = Some(CurrentsSection::search(&bench.motor, &limits, period_s));
+        let why = "from small to large, until the motor is found; then it is made to fit the motor";
+        fitted.reasons.push(Reasoned::new("currents", None, why));
+        return Ok(());
     };
+    let section = CurrentsSection::for_motor(nameplate, &limits, period_s);
     fitted.reasons.push(Reasoned::new("currents", None, format!(
-        "{friction_a:.3} A against the friction of the nameplate and up to {accelerating_a:.3} A to accelerate; it reverses at {TURNS:?} of {top_rad_s:.1} rad/s"
+        "{:.3} A against the friction of the nameplate; the levels accelerate beyond it, and reverse at {TURNS:?} of the reachable speed",
+        nameplate.load_torque_n_m / nameplate.back_emf_v_s_per_rad
     )));
     bench.currents = Some(section);
     // While the length is not set.

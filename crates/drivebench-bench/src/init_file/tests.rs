@@ -1,4 +1,5 @@
 use super::*;
+use crate::limits::short;
 use crate::testing::{has, near, within};
 use drivebench_model::excitation::Output;
 
@@ -116,6 +117,24 @@ fn an_unknown_motor_is_left_to_the_escalation() {
     has(&file.text, "# resistance_ohm: none. ");
     let run = "drivebench run b.toml --hardware --headless";
     assert_eq!(file.next("b.toml"), [run]);
+}
+
+#[test]
+fn a_drive_that_takes_a_current_gets_a_sequence_of_currents() {
+    let file = made("vesc-foc", &nameplate(), readback()).unwrap();
+    assert_eq!(file.purpose, InitUse::Currents);
+    let (plan, currents) = (file.plan.as_ref().unwrap(), file.bench.currents.as_ref().unwrap());
+    assert!(!plan.is_refused() && file.bench.sequence.is_empty());
+    // More than the friction of 1.29 A, and no more than the rated current; a cycle beyond the highest reversal.
+    within(currents.levels_a[0], 1.4..3.0);
+    within(plan.peak_current_a, 5.0..5.71);
+    within(plan.peak_speed_rad_s, 187.0..200.0);
+    assert_eq!(file.next("b.toml").len(), 3);
+    let motor = MotorSection { inertia_kg_m2: None, ..nameplate() };
+    let file = made("vesc-foc", &motor, readback()).unwrap();
+    assert!(file.plan.is_none() && file.bench.limits().time_s > 70.0);
+    let levels = &file.bench.currents.as_ref().unwrap().levels_a;
+    assert!(levels.is_sorted() && levels[0] < 0.2, "{levels:?}");
 }
 
 #[test]

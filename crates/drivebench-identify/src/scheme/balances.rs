@@ -3,7 +3,7 @@
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::balance::{as_ratio, lacks_torque_constant, why_no_regressor};
 use crate::misfit::{Misfit, widen_by_forms_of_torque, widen_by_sampled_current};
-use crate::{inverse_dynamics, missing_cells, weak_form};
+use crate::{inverse_dynamics, missing_cells, weak_form, winding_balance};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::median_step;
 use drivebench_model::plant::{ActiveEffect, Balance, Input, Model, MotorKey, Scenario};
@@ -102,8 +102,8 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
 fn parameters(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Misfit) {
     let bridged = missing_cells::bridged(scenario);
     let scenario = bridged.as_ref().unwrap_or(scenario);
-    let relative = lacks_torque_constant(model, scenario);
-    let mut model = model.clone();
+    let (mut model, _) = winding_balance::with_constants(model, scenario);
+    let relative = lacks_torque_constant(&model, scenario);
     if relative {
         // With a torque constant of one the values are ratios to it.
         model.motor.set(MotorKey::TorqueConstant, 1.0);

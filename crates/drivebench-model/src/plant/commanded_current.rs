@@ -4,9 +4,8 @@ use crate::numerics::statistics::{mean, median, median_step};
 use crate::sample::{Channel, Run};
 use crate::signal::Point;
 
-/// Samples on either side of a step through which a line is laid, and fewest of them.
+/// Samples on either side of a step through which a line is laid; half of them are enough.
 const LINE_SAMPLES: usize = 8;
-const LEAST_SAMPLES: usize = 4;
 /// Fewest steps of the current that give a lag.
 const LEAST_STEPS: usize = 6;
 /// Longest lag that is searched, in samples: a later line would begin within the change itself.
@@ -90,7 +89,7 @@ fn one_way(points: &[Point]) -> &[Point] {
 
 /// Level at time zero and slope of the line through these points.
 fn line(points: &[Point]) -> Option<(f64, f64)> {
-    if points.len() < LEAST_SAMPLES {
+    if points.len() < LINE_SAMPLES / 2 {
         return None;
     }
     let (time_s, value): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();
