@@ -214,7 +214,7 @@ impl LostReply {
     }
 }
 
-/// Bytes of the requests and replies of one cycle: every fast block and one set-point, in one request if the drive supports
+/// Bytes of the requests and replies of one cycle: every fast block, and one set-point with its readback, in one request if the drive supports
 /// function code 23.
 pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
@@ -233,8 +233,11 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let reference = map.set_points.iter().find(|point| point.keys.quantity.moves());
     let alone = reference.filter(|_| joined.is_none());
     let write = alone.map(|point| Turn::write(put(point)));
+    let readback = alone.filter(|point| point.keys.readback);
+    let readback = readback.map(|point| Turn::read(point.location.request()));
     reads
         .chain(write)
+        .chain(readback)
         .map(|turn| match &map.lines {
             Some(grammar) => grammar.bytes(turn),
             None => kind.bytes(turn),
