@@ -30,7 +30,8 @@ pub(crate) fn run(whole: &CompletedRun, plate: Option<&Comparison>) -> Document 
     let estimates = recorded.summary.estimates.as_slice();
     let nameplate = Model::baseline(whole.nameplate_motor.clone());
     let nameplate = Some(&nameplate);
-    tables::parameter_section(&mut document, "on line", nameplate, &[], estimates, 5);
+    let how = if whole.is_by_balances { "balances" } else { "on line" };
+    tables::parameter_section(&mut document, how, nameplate, &[], estimates, 5);
     tables::nameplate_section(&mut document, plate);
     let command = match recorded.summary.outcome {
         Outcome::Done => "diagnose",

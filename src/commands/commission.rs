@@ -19,7 +19,7 @@ use crate::commands::arguments::{LiveArguments, UnknownMotor};
 use crate::commands::by_hand::{ScreenResult, Shown};
 use crate::commands::evidence::admit_later;
 use crate::commands::run::{
-    BETWEEN_RUNS, RunDone, escalate, escalation_failure, find_by_currents, run,
+    BETWEEN_RUNS, RunDone, escalate, escalation_failure, find_by_currents, of_balances, run,
 };
 use crate::commands::speed::{SpeedRequest, speed};
 use crate::commands::{by_hand, pages};
@@ -265,6 +265,7 @@ fn step(
             if let Some(failure) = recorded.run_failure() {
                 return Err(failure);
             }
+            of_balances(&rig.bench, &mut recorded)?;
             let loaded = recorded.load()?;
             recorded.forget();
             let record = RunRecord {

@@ -18,7 +18,7 @@ use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
 use drivebench_bench::recording::RunFile;
-use drivebench_bench::{CheckReport, CurrentsSection, Plan, RunSummary};
+use drivebench_bench::{BenchFile, CheckReport, CurrentsSection, Plan, RunSummary};
 use drivebench_diagnose::{Evidence, Score};
 use drivebench_identify::escalation::Ending;
 use drivebench_identify::nameplate::{Comparison, NameplateDoubt};
@@ -26,7 +26,7 @@ use drivebench_identify::noise::FloorSource;
 use drivebench_identify::scheme::{self, Data};
 use drivebench_identify::start;
 use drivebench_model::plant::{FittedValue, Model, ModelFile, Motor, MotorKey, Scenario};
-use drivebench_model::sample::Verdict;
+use drivebench_model::sample::{ParameterEstimate, Verdict};
 use drivebench_model::text::number::significant;
 
 /// Excite the motor, record the run and identify on line; live screen unless --headless
@@ -113,6 +113,8 @@ pub(crate) enum RunDone {
 pub(crate) struct CompletedRun {
     plan: Plan,
     pub recorded: Recorded,
+    /// The estimates are of the balances over the whole record, and not on line.
+    pub(super) is_by_balances: bool,
     pub(crate) escalation: Option<EscalationResult>,
     /// The motor of the bench file.
     pub(super) nameplate_motor: Motor,
@@ -159,11 +161,13 @@ pub(crate) fn run(
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
     let plan = rig.plan(seed)?;
     let name = rig.bench.name.clone();
-    let recorded = rig.record(&name, seed, controls)?;
+    let mut recorded = rig.record(&name, seed, controls)?;
     let nameplate = rig.nameplate()?.motor();
+    let is_by_balances = of_balances(&rig.bench, &mut recorded)?;
     let mut run = CompletedRun {
         plan,
         recorded,
+        is_by_balances,
         escalation,
         nameplate_motor: rig.nameplate_motor.clone(),
         nameplate: None,
@@ -336,14 +340,9 @@ pub(crate) fn find_by_currents(
     if let Some(failure) = recorded.run_failure() {
         return Err(failure);
     }
-    let run = recorded.load()?.run;
-    let scenario = Scenario::from_run(&run)?;
     let mut motor = rig.bench.motor.motor();
-    let model = Model::baseline(motor.clone());
-    let scheme = scheme::default_for(&scenario);
-    let found = scheme.identify(&Data { run: &run, scenario: &scenario, model: &model })?;
     let mut reason = None;
-    for own in &found.parameters {
+    for own in &balanced(&recorded, &motor)? {
         match (MotorKey::from_key(&own.key), own.value) {
             (Some(key), Some(value)) => motor.set(key, value),
             (Some(MotorKey::Inertia | MotorKey::LoadTorque), None) => {
@@ -378,6 +377,25 @@ pub(crate) fn find_by_currents(
     fitted.seconds = fitted.seconds.min(limits.time_s - ends_s - period_s).max(period_s);
     rig.bench.currents = Some(fitted);
     Ok(sentence)
+}
+
+/// Parameters by the balances over the record.
+fn balanced(recorded: &Recorded, motor: &Motor) -> Result<Vec<ParameterEstimate>, Failure> {
+    let run = recorded.load()?.run;
+    let scenario = Scenario::from_run(&run)?;
+    let model = Model::baseline(motor.clone());
+    let scheme = scheme::default_for(&scenario);
+    Ok(scheme.identify(&Data { run: &run, scenario: &scenario, model: &model })?.parameters)
+}
+
+/// Replaces the on-line estimates of a run that a current drives, whose voltage changes between two samples, by those of its
+/// balances; returns whether it did.
+pub(crate) fn of_balances(bench: &BenchFile, recorded: &mut Recorded) -> Result<bool, Failure> {
+    if bench.currents.is_none() || recorded.run_failure().is_some() {
+        return Ok(false);
+    }
+    recorded.summary.estimates = balanced(recorded, &bench.motor.motor())?;
+    Ok(true)
 }
 
 /// L/R of a winding that no run shows, s.

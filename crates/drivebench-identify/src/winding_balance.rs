@@ -35,6 +35,14 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let least_a = RELEASED * largest(&currents);
     let steps_s = &scenario.current_steps_s;
     let (mut rows, mut steps): (Vec<[f64; 4]>, Vec<usize>) = (Vec::new(), Vec::new());
+    let mut rates: Vec<f64> = Vec::new();
+    // Over some samples on either side, where the current is constant as well.
+    let rate = |sample: usize| {
+        let (from, to) = (sample.saturating_sub(1), (sample + 1).min(times.len() - 1));
+        let speeds = &scenario.speed_rad_s;
+        let change = (speeds[to] - speeds[from]) / (times[to] - times[from]);
+        if change.is_finite() { change } else { 0.0 }
+    };
     for (sample, volts) in scenario.voltage_v.iter().enumerate() {
         let (time_s, speed_rad_s) = (times[sample], scenario.speed_rad_s[sample]);
         let amperes = scenario.input_at(time_s);
@@ -48,6 +56,7 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
         if is_settled && is_whole && amperes.abs() > least_a {
             rows.push([amperes, speed_rad_s, amperes.signum(), *volts]);
             steps.push(step);
+            rates.push(rate(sample));
         }
     }
     if rows.len() < 3 * ROWS_AN_UNKNOWN {
@@ -56,25 +65,21 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let matrix = DMatrix::from_fn(rows.len(), 3, |row, column| rows[row][column]);
     let right = DVector::from_fn(rows.len(), |row, _| rows[row][3]);
     let solution = least_squares::solve(&matrix, &right, &steps)?;
-    let std = |at: usize| solution.covariance[(at, at)].max(0.0).sqrt();
-    // A lag of the current instead of one of the speed adds `Ke w' lag`, which follows the current.
-    let accelerates = 2.0 * largest(&scenario.speed_rad_s) * steps_s.len() as f64
-        / (times[times.len() - 1] - times[0]);
-    let estimate = |key: MotorKey, at: usize, systematic: f64| {
-        judge(&Slot::Motor(key), solution.x[at], Some(std(at).hypot(systematic)), period_s)
+    // What a lag of the speed that is one of the current instead does to each value: it adds `Ke w' lag`. Half of it is assumed, and
+    // none and all of it are 1.5 standard deviations away: most drives are near one end.
+    let share_s = scenario.doubtful_lag_s() / 3.0;
+    let added = DVector::from_vec(rates.iter().map(|w| solution.x[1] * w * share_s).collect());
+    let by_lag = least_squares::solve(&matrix, &added, &steps)?.x;
+    let std = |at: usize| solution.covariance[(at, at)].max(0.0).sqrt().hypot(by_lag[at]);
+    let estimate = |key: MotorKey, at: usize| {
+        judge(&Slot::Motor(key), solution.x[at], Some(std(at)), period_s)
     };
-    let back_emf = solution.x[1];
-    let by_lag_ohm = back_emf * accelerates * scenario.command_lag_s.abs() / largest(&currents);
     let inductance = unknown(
         MotorKey::Inductance,
         Reason::SampledTooSlowly,
         "the drive controls the current: it is constant between its steps, and those are over between two samples",
     );
-    let all = [
-        estimate(MotorKey::Resistance, 0, by_lag_ohm),
-        inductance,
-        estimate(MotorKey::BackEmf, 1, 0.0),
-    ];
+    let all = [estimate(MotorKey::Resistance, 0), inductance, estimate(MotorKey::BackEmf, 1)];
     let is_free = |own: &ParameterEstimate| !model.fixed.contains(&own.key);
     Some(Winding {
         parameters: all.into_iter().filter(is_free).collect(),
@@ -100,7 +105,7 @@ mod tests {
     /// Currents of two sizes that alternate each second, a triangle of speed, and the voltage of `R` 1.1 ohm, `Ke` 0.35 V.s/rad and a
     /// drop; the row after each step has the voltage of the transient.
     fn scenario(drop_v: f64) -> Scenario {
-        let times: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row) + 0.005).collect();
+        let times: Vec<f64> = (0..2000).map(|row| 0.01 * f64::from(row)).collect();
         let level = |time_s: f64| {
             let way: f64 = if time_s.rem_euclid(2.0) < 1.0 { 1.0 } else { -1.0 };
             if time_s < 1.0 { 0.0 } else { way * if time_s % 4.0 < 2.0 { 2.0 } else { 5.0 } }

@@ -193,12 +193,12 @@ impl Scenario {
         if channel == Channel::CurrentCmd {
             scenario.current_a = scenario.held_means();
             (scenario.command_lag_s, scenario.current_steps_s) = (lag_s, steps_s);
-            // The voltage belongs to the motion that the speed shows by the lag later.
             let volts: Vec<Point> = run.points(Channel::Voltage).collect();
             if !volts.is_empty() {
-                let times = scenario.sample_time_s.iter();
-                scenario.voltage_v =
-                    times.map(|time_s| signal::line(&volts, time_s - lag_s)).collect();
+                // Up to one period of the lag may be that of the command; of that the speed shows half.
+                let doubtful_s = scenario.doubtful_lag_s();
+                let at = |time_s: &f64| signal::line(&volts, time_s - (lag_s - 0.5 * doubtful_s));
+                scenario.voltage_v = scenario.sample_time_s.iter().map(at).collect();
             }
         }
         scenario.refuse_gaps()?;
@@ -213,6 +213,13 @@ impl Scenario {
     /// Finds the scales of the run from its signals.
     pub fn find_scales(&mut self) {
         self.scales = RunScales::of(self);
+    }
+
+    /// The part of the lag between commanded current and speed that may be that of the command, s: a current loop is quicker than a
+    /// period.
+    pub fn doubtful_lag_s(&self) -> f64 {
+        let period_s = self.mean_period_s();
+        self.command_lag_s.clamp(-period_s, period_s)
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
