@@ -65,9 +65,9 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let matrix = DMatrix::from_fn(rows.len(), 3, |row, column| rows[row][column]);
     let right = DVector::from_fn(rows.len(), |row, _| rows[row][3]);
     let solution = least_squares::solve(&matrix, &right, &steps)?;
-    // What a lag of the speed that is one of the current instead does to each value: it adds `Ke w' lag`. Half of it is assumed, and
-    // none and all of it are 1.5 standard deviations away: most drives are near one end.
-    let share_s = scenario.doubtful_lag_s() / 3.0;
+    // What a lag of the speed that is one of the current instead does to each value: it adds `Ke w' lag`. Half of it is assumed; none
+    // and all of it are one standard deviation away, because most drives are near one end.
+    let share_s = 0.5 * scenario.doubtful_lag_s();
     let added = DVector::from_vec(rates.iter().map(|w| solution.x[1] * w * share_s).collect());
     let by_lag = least_squares::solve(&matrix, &added, &steps)?.x;
     let std = |at: usize| solution.covariance[(at, at)].max(0.0).sqrt().hypot(by_lag[at]);

@@ -103,7 +103,6 @@ pub(super) fn direction(
     let mut figures = texts.join("; ");
     let refusal =
         legs.iter().zip(&all).find_map(|(leg, extremes)| fault(known, leg.direction, extremes));
-    let refusal = refusal.or_else(|| motion::angle_fault(known, legs));
     if refusal.is_none() {
         let is_small =
             |found: &Extremes| found.current_a.is_some_and(|amps| amps.abs() <= known.flowed_a());
