@@ -71,7 +71,9 @@ pub use cell_bus::{
 };
 pub use command_times::CommandTimes;
 pub use exceptions::{Requested, exception_name};
-pub use link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, drive_name};
+pub use link::{
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, RoundTrips, StatedMotor, drive_name,
+};
 pub use link_core::stop_confirmed;
 pub use link_error::Result;
 pub use modbus::{

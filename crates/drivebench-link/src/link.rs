@@ -8,9 +8,11 @@ use super::burst::Burst;
 use super::command_times::CommandTimes;
 pub use super::link_error::LinkError;
 pub(crate) use super::link_error::Result;
+use super::register_map::Quantity;
 use super::transaction::{LineCounts, StopRequest};
 use super::unexpected::Unexpected;
 use drivebench_model::sample::{Command, Demand, Sample};
+use drivebench_model::text::number;
 
 /// Identity of a drive, as it reports it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -27,6 +29,40 @@ pub struct Identity {
     /// The drive's own limits as read back; they bound the commands.
     pub current_limit_a: Option<f64>,
     pub voltage_limit_v: Option<f64>,
+    /// Where the drive states none it is left out, as in the runs before it could.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub motor: Option<StatedMotor>,
+}
+
+/// The motor as the drive states it, between two lines; `None`: not stated.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct StatedMotor {
+    pub resistance_ohm: Option<f64>,
+    pub inductance_h: Option<f64>,
+    pub back_emf_v_s_per_rad: Option<f64>,
+    /// The same in the drive's own memory, as of a phase.
+    #[serde(skip)]
+    pub stored: [Option<f64>; 3],
+}
+
+impl StatedMotor {
+    /// From the values of a profile; `None` where there is none. A value of zero is none.
+    pub fn of(
+        value: impl Fn(Quantity) -> Option<f64>,
+        stored: impl Fn(Quantity) -> Option<f64>,
+    ) -> Option<Self> {
+        let of = [Quantity::MotorResistance, Quantity::MotorInductance, Quantity::MotorBackEmf];
+        // Of a float with 24 bits, six digits are its own.
+        let all = of.map(|quantity| value(quantity).filter(|value| *value > 0.0));
+        let [resistance_ohm, inductance_h, back_emf_v_s_per_rad] =
+            all.map(|value| value.map(|value| number::with_digits(value, 6)));
+        all.iter().any(Option::is_some).then(|| Self {
+            resistance_ohm,
+            inductance_h,
+            back_emf_v_s_per_rad,
+            stored: of.map(stored),
+        })
+    }
 }
 
 impl Identity {

@@ -28,7 +28,9 @@ use super::budget::cycle_frames;
 use super::cell_bus::{CellBus, Put, Span};
 use super::command_times::CommandTimes;
 use super::exceptions::BusyPauses;
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link::{
+    DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips, StatedMotor,
+};
 use super::polling_backoff::PollingBackoff;
 use super::register_map::{IdentityCheck, Quantity, RegisterMap, Step, Write};
 use super::settings::KickedBy;
@@ -707,9 +709,13 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
             product = self.bus.object(1)?.unwrap_or(product);
             firmware = self.bus.object(2)?.unwrap_or_default();
         }
-        let limit = |quantity| {
+        let value = |quantity| {
             let signal = self.map.of_quantity(quantity)?;
             self.reading(&signal.name)
+        };
+        let stored = |quantity| {
+            let signal = self.map.of_quantity(quantity)?;
+            Some(signal.location.layout.number(self.readings.get(&signal.name)?.pattern?))
         };
         Ok(Identity {
             vendor,
@@ -719,8 +725,9 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
             protocol_version: 0,
             is_emulator: self.bus.is_emulated(),
             watchdog_s: self.watchdog_s,
-            current_limit_a: limit(Quantity::CurrentLimit),
-            voltage_limit_v: limit(Quantity::VoltageLimit),
+            current_limit_a: value(Quantity::CurrentLimit),
+            voltage_limit_v: value(Quantity::VoltageLimit),
+            motor: StatedMotor::of(value, stored),
         })
     }
 

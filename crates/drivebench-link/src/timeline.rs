@@ -204,6 +204,7 @@ pub fn identity(block: &firmware_protocol::Identity) -> Identity {
         watchdog_s: Some(f64::from(block.watchdog_ms) * 1e-3),
         current_limit_a: known(block.current_limit_a),
         voltage_limit_v: known(block.voltage_limit_v),
+        motor: None,
     }
 }
 

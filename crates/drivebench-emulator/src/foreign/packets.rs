@@ -5,7 +5,7 @@
 
 use super::ForeignDrive;
 use super::registers::{bits, number_of};
-use drivebench_link::register_map::Kind;
+use drivebench_link::register_map::{Kind, Signal};
 use drivebench_link::{CellTable, KickedBy, Protocol};
 
 /// Bytes of each selected value of a VESC, by its bit (commands.c).
@@ -339,8 +339,8 @@ impl ForeignDrive {
 
     /// Bytes of the reply to a command, as far as the profile reads it.
     fn reply_length(&self, table: CellTable) -> Option<u16> {
-        let signals = self.map.signals.iter().map(|signal| signal.location);
-        let ends = signals.filter(|at| at.table == table).map(|at| at.address + at.layout.cells());
+        let reads = self.map.signals.iter().map(Signal::request);
+        let ends = reads.filter(|at| at.table == table).map(|at| at.address + at.count);
         ends.max()
     }
 }

@@ -135,7 +135,10 @@ impl ForeignDrive {
         let map = std::sync::Arc::clone(&self.map);
         let mut word = None;
         for signal in &map.signals {
-            let at = signal.location;
+            let mut raw = |name: &str| map.signal(name).map(|decides| self.pattern(decides));
+            let Some(at) = signal.placed(&mut raw) else {
+                continue;
+            };
             let Some(offset) = address.checked_sub(at.address) else {
                 continue;
             };
@@ -339,6 +342,9 @@ impl ForeignDrive {
             Quantity::RatedSpeed => in_unit(nameplate.rated_speed_rad_s, unit, None),
             Quantity::CurrentLimit => limit_a,
             Quantity::VoltageLimit => limit_v,
+            Quantity::MotorResistance => nameplate.resistance_ohm,
+            Quantity::MotorInductance => nameplate.inductance_h,
+            Quantity::MotorBackEmf => nameplate.back_emf_v_s_per_rad,
             Quantity::Other if self.is_factor(signal) => 1.0,
             Quantity::Status
             | Quantity::FaultCode

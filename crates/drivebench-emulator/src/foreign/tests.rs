@@ -5,8 +5,8 @@ mod states;
 mod trial;
 
 use super::*;
-use crate::VirtualClock;
-use drivebench_link::{CellBus, DriveLink, LinkError, ProfiledLink, Put, Result};
+use crate::{VirtualClock, open_line};
+use drivebench_link::{CellBus, DriveLink, LinkError, ProfiledLink, Put, Result, StatedMotor};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Quality, Sample};
 
 /// A bench with one drive: time passes between exchanges.
@@ -483,4 +483,38 @@ fn unknown_requests_get_the_exact_exception() {
     for (name, request, answer) in cases {
         assert_eq!(table.far().answer(request), answer, "{name}");
     }
+}
+
+/// The motor that a drive on a line states to a host, each with its own changes of one profile.
+fn stated(name: &str, host: Changes<'_>, far: Changes<'_>) -> Option<StatedMotor> {
+    let (host, far) = (profile_with(name, host), profile_with(name, far));
+    let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    let line = open_line(Guise::of(&far).as_ref(), &config, 1, &host, VirtualClock::new());
+    line.unwrap().identify().unwrap().motor
+}
+
+#[test]
+fn the_motor_that_a_vesc_states_is_found_in_every_firmware() {
+    let firmwares = "one_of = [2525666056, 776184161, ";
+    let truth = EmulatorConfig::embedded("zk-22fc-plain").unwrap().motor;
+    let mut flux_v_s = f64::NAN;
+    for shown in [firmwares, "one_of = [776184161, ", "one_of = [2466726157, "] {
+        let stated = stated("vesc-foc", &[], &[(firmwares, shown)]).unwrap();
+        assert_eq!(stated.resistance_ohm, Some(truth.resistance_ohm), "{shown}");
+        assert_eq!(stated.inductance_h, Some(truth.inductance_h), "{shown}");
+        assert_eq!(stated.back_emf_v_s_per_rad, Some(truth.back_emf_v_s_per_rad), "{shown}");
+        // Of a phase, one pole pair.
+        flux_v_s = stated.stored[2].unwrap();
+        assert!((flux_v_s * 3.0_f64.sqrt() / truth.back_emf_v_s_per_rad - 1.0).abs() < 1e-6);
+    }
+    // Missing: what has no place for this firmware, and what the firmware holds before any detection.
+    let delivered = format!("invalid = [{}]", (flux_v_s as f32).to_bits());
+    let host = [
+        ("bytes = { 2525666056 = 189, ", "bytes = { "),
+        ("invalid = [0x3B20902E]", delivered.as_str()),
+    ];
+    let found = stated("vesc-foc", &host, &[]).unwrap();
+    assert!(found.inductance_h.is_some());
+    assert_eq!((found.resistance_ohm, found.back_emf_v_s_per_rad), (None, None));
+    assert_eq!(stated("vesc-dc", &[], &[]), None);
 }

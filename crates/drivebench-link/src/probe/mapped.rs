@@ -165,7 +165,8 @@ fn signal(
     advises: bool,
 ) -> ProbedSignal {
     let signal = &picture.map.signals[index];
-    let location = signal.location;
+    let raw = |name: &str| pattern(picture.map, picture.windows, name);
+    let location = signal.placed(raw).unwrap_or(signal.location);
     let reading = picture.reading(index);
     let plausible = picture.fits(index, reading);
     let unit = signal.numbers.unit.name();
@@ -276,9 +277,11 @@ impl Reader<'_> {
         }
         let requests: Vec<ReadRequest> = alone.iter().map(|index| self.request(*index)).collect();
         let answers = self.ask(&requests)?;
-        for (index, answer) in alone.into_iter().zip(answers) {
+        for ((index, read), answer) in alone.into_iter().zip(requests).zip(answers) {
             match answer {
-                Ok(registers) => self.windows[index].here = Some(registers),
+                Ok(registers) => {
+                    self.hand_out(&ReadBlock { read, signals: vec![index] }, &registers);
+                }
                 Err(reason) => self.refused[index] = Some(reason),
             }
         }
@@ -287,7 +290,13 @@ impl Reader<'_> {
 
     fn hand_out(&mut self, block: &ReadBlock, registers: &[u16]) {
         for index in &block.signals {
-            let location = self.map.signals[*index].location;
+            let signal = &self.map.signals[*index];
+            let raw = |name: &str| pattern(self.map, &self.windows, name);
+            let Some(location) = signal.placed(raw) else {
+                let text = "the profile has no place of it for this firmware".to_owned();
+                self.refused[*index] = Some(Refusal { text, is_unknown: false });
+                continue;
+            };
             let from = block.read.offset_of(&location);
             let to = from + usize::from(location.layout.cells());
             self.windows[*index].here = registers.get(from..to).map(<[u16]>::to_vec);
@@ -316,7 +325,7 @@ impl Reader<'_> {
     }
 
     fn request(&self, index: usize) -> ReadRequest {
-        self.map.signals[index].location.request()
+        self.map.signals[index].request()
     }
 
     /// Values that are proven to be current, or why there are none; only a port that is gone ends everything.

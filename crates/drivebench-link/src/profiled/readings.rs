@@ -186,7 +186,10 @@ impl Readings {
             in_profile(error, &self.map, &places)
         })?;
         for index in &block.signals {
-            let location = self.map.signals[*index].location;
+            let raw = |name: &str| self.get(name)?.pattern;
+            let Some(location) = self.map.signals[*index].placed(raw) else {
+                continue;
+            };
             let offset = block.read.offset_of(&location);
             let pattern = read.cells.get(offset..).and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));

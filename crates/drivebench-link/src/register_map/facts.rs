@@ -97,6 +97,23 @@ impl Formula {
 }
 
 impl Signal {
+    /// Its place, by the raw numbers of the signals that may decide on it; `None`: it has none for this number.
+    pub fn placed(&self, raw: impl FnOnce(&str) -> Option<u32>) -> Option<Location> {
+        let Some(by) = &self.keys.reply_by else {
+            return Some(self.location);
+        };
+        let address = *by.bytes.get(&raw(&by.signal)?.to_string())?;
+        Some(Location { address, ..self.location })
+    }
+
+    /// The read that holds it, wherever its place is.
+    pub fn request(&self) -> ReadRequest {
+        let request = self.location.request();
+        let places = self.keys.reply_by.iter().flat_map(|by| by.bytes.values());
+        let last = places.max().map_or(0, |last| last - request.address);
+        ReadRequest { count: request.count + last, ..request }
+    }
+
     /// What one count of a clock is, s; `None` for what is none.
     pub fn clock_count_s(&self) -> Option<f64> {
         let unit_s = self.numbers.unit.seconds()?;

@@ -14,12 +14,14 @@ pub struct ReadBlock {
 
 /// The requests that read every signal of one rate.
 pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
+    // Behind the signals that decide on their place, and on their scale.
+    let is_placed = |index: usize| map.signals[index].keys.reply_by.is_some();
     let mut wanted: Vec<(ReadRequest, usize)> = (0..map.signals.len())
         .filter(|index| map.signals[*index].keys.poll == poll)
         .filter(|index| map.signals[*index].formula.is_none())
-        .map(|index| (map.signals[index].location.request(), index))
+        .map(|index| (map.signals[index].request(), index))
         .collect();
-    wanted.sort_by_key(|(read, _)| (read.table, read.address));
+    wanted.sort_by_key(|(read, index)| (is_placed(*index), read.table, read.address));
     let mut blocks: Vec<ReadBlock> = Vec::new();
     for (mut read, index) in wanted {
         if let (CellTable::Fields(bit), Some(block)) = (read.table, blocks.last_mut())
@@ -48,6 +50,7 @@ pub fn plan_reads(map: &RegisterMap, poll: PollRate) -> Vec<ReadBlock> {
         let exact = map.exact_reads.iter().find(lies_within);
         if let Some(block) = blocks.last_mut()
             && block.read.table == read.table
+            && block.signals.iter().all(|other| is_placed(*other) == is_placed(index))
         {
             let whole = (block.read.address, block.read.count);
             let count = end.max(block.read.end()) - u32::from(block.read.address);

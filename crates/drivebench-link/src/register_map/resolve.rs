@@ -575,10 +575,18 @@ impl Reader<'_> {
             let part = self.part(span, "");
             part.require(registers <= most, "type", message)
         };
-        for Signal { name, numbers, location, .. } in &map.signals {
+        for Signal { name, numbers, location, keys, .. } in &map.signals {
             let Some(span) = file.signals.get(name).map(Spanned::span) else {
                 continue;
             };
+            if let Some(by) = &keys.reply_by {
+                let decides =
+                    |s: &&Signal| s.keys.poll == PollRate::Once && s.keys.reply_by.is_none();
+                let names: Vec<_> =
+                    map.signals.iter().filter(decides).map(|s| s.name.as_str()).collect();
+                let what = "signal with poll = \"once\" and a place of its own";
+                self.known(&by.signal, names.iter().copied(), what, &span)?;
+            }
             let most = ("max_read", map.max_read);
             fits("signal", name, numbers, location, most, span)?;
         }

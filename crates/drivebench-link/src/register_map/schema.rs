@@ -123,6 +123,8 @@ pub struct SignalKeys {
     pub(super) field: Option<u8>,
     /// VESC: a command without parameters, and the byte of its reply, counted from the one behind the command.
     pub(super) reply: Option<[u16; 2]>,
+    /// VESC: the same with the byte by the value of another signal.
+    pub reply_by: Option<ReplyBy>,
     /// Lines: the request, its answer (default: one number), and which number of that.
     pub(super) request: Option<String>,
     pub(super) answer: Option<String>,
@@ -164,6 +166,17 @@ pub struct SignalKeys {
     pub note: Option<String>,
 }
 
+/// The byte of a reply whose layout depends on the firmware.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ReplyBy {
+    pub(super) command: u8,
+    /// It decides by its raw number.
+    pub(super) signal: String,
+    /// Raw number of that signal to the byte.
+    pub(super) bytes: BTreeMap<String, u16>,
+}
+
 /// `[derived]`: a channel that is computed, as an expression or as a table with one.
 #[derive(Clone, Debug, Deserialize)]
 #[serde(untagged)]
@@ -191,6 +204,7 @@ impl SignalKeys {
             can: None,
             field: None,
             reply: None,
+            reply_by: None,
             request: None,
             answer: None,
             hole: None,

@@ -94,6 +94,10 @@ named! {
         RatedSpeed = "rated_speed",
         CurrentLimit = "current_limit",
         VoltageLimit = "voltage_limit",
+        /// What the drive stores of its motor, between two lines.
+        MotorResistance = "motor_resistance",
+        MotorInductance = "motor_inductance",
+        MotorBackEmf = "motor_back_emf",
         /// A word of bits that is written.
         Word = "word",
         /// A set-point of speed.
@@ -123,6 +127,9 @@ named! {
         Microsecond = "us",
         Millisecond = "ms",
         Second = "s",
+        Ohm = "ohm",
+        Henry = "H",
+        VoltSecond = "V.s/rad",
     }
 }
 
@@ -166,6 +173,9 @@ impl Quantity {
             Self::Temperature => &[Unit::Celsius],
             Self::Angle => &[Unit::Rad, Unit::Counts],
             Self::Clock => &[Unit::Microsecond, Unit::Millisecond, Unit::Second],
+            Self::MotorResistance => &[Unit::Ohm],
+            Self::MotorInductance => &[Unit::Henry],
+            Self::MotorBackEmf => &[Unit::VoltSecond],
             Self::Status | Self::FaultCode | Self::Word => &[Unit::None],
             Self::Other => return None,
         })

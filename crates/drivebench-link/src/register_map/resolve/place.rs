@@ -2,8 +2,8 @@
 
 use super::super::address::{Base, Numbering};
 use super::super::facts::Location;
-use super::super::schema::{LinkKeys, SetPointKeys, SignalKeys};
-use super::super::terms::Resync;
+use super::super::schema::{LinkKeys, ReplyBy, SetPointKeys, SignalKeys};
+use super::super::terms::{PollRate, Resync};
 use super::super::value::{CellSize, Layout, Order};
 use crate::cell_bus::CellTable;
 use crate::framing::{PROOF_WRITE, fields_width};
@@ -65,6 +65,7 @@ impl Places<'_> {
     pub(super) fn signal(self, keys: &SignalKeys, layout: Layout) -> Result<Location, Wrong> {
         let layout = Layout { cell: self.cell(), ..layout };
         let given = (keys.field, keys.reply);
+        let by = keys.reply_by.as_ref();
         if self.link.protocol == Protocol::Lines {
             let line = self.line(signal_line(keys).as_ref(), layout)?;
             let holes = self.lines[usize::from(line)].1.matches("{}").count();
@@ -80,15 +81,22 @@ impl Places<'_> {
             return Err(("request", "request is a key of protocol \"lines\"".to_owned()));
         }
         if self.link.protocol == Protocol::Vesc {
-            let (table, address) = match given {
-                (Some(bit), None) => (field(bit, layout)?, 0),
-                (None, Some([command, at])) => (CellTable::Reply(byte("reply", command)?), at),
-                _ => return Err(("field", "one of field and reply is needed".to_owned())),
+            let (table, address) = match (given, by) {
+                ((Some(bit), None), None) => (field(bit, layout)?, 0),
+                ((None, Some([command, at])), None) => {
+                    (CellTable::Reply(byte("reply", command)?), at)
+                }
+                ((None, None), Some(by)) => (CellTable::Reply(by.command), first_place(by, keys)?),
+                _ => {
+                    let message = "one of field, reply and reply_by is needed";
+                    return Err(("", message.to_owned()));
+                }
             };
             return Ok(Location { table, address, layout });
         }
-        if given != (None, None) {
-            return Err(("field", "field and reply are keys of protocol \"vesc\"".to_owned()));
+        if given != (None, None) || by.is_some() {
+            let message = "field, reply and reply_by are keys of protocol \"vesc\"";
+            return Err(("field", message.to_owned()));
         }
         let found = self.numbering.resolve(keys.address, keys.parameter.as_deref(), keys.can);
         let (address, is_input) = found.map_err(|message| ("address", message))?;
@@ -182,6 +190,21 @@ fn field(bit: u8, layout: Layout) -> Result<CellTable, Wrong> {
         return Err(("type", message));
     }
     Ok(CellTable::Fields(mask))
+}
+
+/// The first of the places that a signal may have.
+fn first_place(by: &ReplyBy, keys: &SignalKeys) -> Result<u16, Wrong> {
+    if keys.poll != PollRate::Once {
+        let message = "a signal with reply_by is read once (expected poll = \"once\")";
+        return Err(("poll", message.to_owned()));
+    }
+    if let Some(key) = by.bytes.keys().find(|key| key.parse::<u32>().is_err()) {
+        let message = format!("bytes: {key:?} is not allowed (expected a whole number of 32 bits)");
+        return Err(("reply_by", message));
+    }
+    let first = by.bytes.values().min().copied();
+    let message = "bytes is empty (expected { VALUE = BYTE }, a value of the signal that decides)";
+    first.ok_or_else(|| ("reply_by", message.to_owned()))
 }
 
 fn byte(key: &'static str, number: u16) -> Result<u8, Wrong> {
