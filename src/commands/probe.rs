@@ -19,8 +19,8 @@ use drivebench_link as drive;
 use drivebench_link::register_map::Quantity;
 use drivebench_link::{
     DriveProfile, Framing, LinkError, ProbeDepth, ProbeReport, ProbeVerdict, ProbedSignal,
-    RawClient, RawSettings, ReadRequest, Target, Unexpected, open_cells, open_stream, probe,
-    probe_cells, probe_stream,
+    RawClient, RawSettings, ReadRequest, StatedMotor, Target, Unexpected, open_cells, open_stream,
+    probe, probe_cells, probe_stream,
 };
 use drivebench_model::text::number::{reading, with_unit};
 
@@ -382,6 +382,7 @@ fn limits_of(report: &ProbeReport) -> Readback {
             .or(report.value_of(Quantity::VoltageLimit)),
         bus_v: report.value_of(Quantity::BusVoltage),
         watchdog_s: report.watchdog_s,
+        motor: StatedMotor::of(|quantity| report.value_of(quantity), |_| None),
     }
 }
 
@@ -396,6 +397,7 @@ fn limits_in_memory(profile: &DriveProfile) -> Readback {
         voltage_limit_v: is_ours.then_some(config.limits.bus_v),
         bus_v: Some(config.limits.bus_v),
         watchdog_s: is_ours.then_some(watchdog_s),
+        motor: None,
     }
 }
 

@@ -25,6 +25,7 @@ use drivebench_control::Actuator;
 use drivebench_link::offer::{self, Purpose};
 use drivebench_link::{CommandTimes, DriveLink, DriveProfile, Identity, LinkError};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
+use drivebench_model::text::number;
 
 /// Why the checks could not be carried out.
 #[derive(Debug, Error)]
@@ -76,6 +77,10 @@ pub struct CheckOptions<'a> {
     /// Clear a latched fault, of an identified drive that does not run.
     pub reset_fault: bool,
 }
+
+/// Share by which a nameplate may differ from what the drive states before it is remarked: a warm winding and the leads of a
+/// small resistance stay below.
+const STATED_SHARE: f64 = 0.3;
 
 /// The check of the rate by the arithmetic of the line.
 pub const RATE_CHECK: &str = "rate";
@@ -250,6 +255,7 @@ impl Checker<'_> {
     fn all(&mut self, limits: &Limits, options: CheckOptions<'_>) -> Result<(), CheckError> {
         let go_on = self.identity(options.hardware_allowed, options.hardware_confirmed)
             && self.limits(limits)
+            && self.stated_motor(options.first_move)
             && self.rate(options.rate_hz)
             && self.is_not_running()
             && self.reset(options.reset_fault)?
@@ -360,6 +366,43 @@ impl Checker<'_> {
         let help =
             "the drive cannot give the voltage that the bench may command: lower limits.voltage_v";
         self.note("limits", passed, read, help)
+    }
+
+    /// The motor as the drive states it, against the nameplate: a sentence, and no refusal.
+    fn stated_motor(&mut self, first: Option<FirstMove<'_>>) -> bool {
+        let Some(stated) = self.report.identity.motor else {
+            return true;
+        };
+        let plate = first.map(|first| first.nameplate.plate());
+        let rows = [
+            ("R", "ohm", stated.resistance_ohm, plate.map(|plate| plate.resistance_ohm)),
+            ("L", "H", stated.inductance_h, plate.map(|plate| plate.inductance_h)),
+            ("Ke", "V.s/rad", stated.back_emf_v_s_per_rad, plate.map(|p| p.back_emf_v_s_per_rad)),
+        ];
+        let (mut values, mut stored, mut other) = (Vec::new(), Vec::new(), Vec::new());
+        for ((symbol, unit, value, nameplate), own) in rows.into_iter().zip(stated.stored) {
+            let Some(value) = value else {
+                continue;
+            };
+            values.push(format!("{symbol} {} {unit}", number::shortest(value, 4)));
+            stored.extend(own.map(|own| number::shortest(own, 4)));
+            let differs = |plate: &f64| (value / plate - 1.0).abs() > STATED_SHARE;
+            other.extend(
+                nameplate
+                    .filter(differs)
+                    .map(|plate| format!("{symbol} {} {unit}", number::shortest(plate, 4))),
+            );
+        }
+        let mut parts = vec![format!(
+            "the drive states {} between two lines (stored as {})",
+            values.join(", "),
+            stored.join(", ")
+        )];
+        if !other.is_empty() {
+            let (percent, other) = (100.0 * STATED_SHARE, other.join(", "));
+            parts.push(format!("the nameplate differs by more than {percent} %: {other}"));
+        }
+        self.note("motor", true, parts.join("; "), "")
     }
 
     /// Longest times of the drive's commands at the rate of these checks.

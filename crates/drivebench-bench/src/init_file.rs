@@ -20,8 +20,8 @@ use super::check::LONGEST_WATCHDOG_S;
 use super::limits::{MotorSection, POSITIVE};
 use super::mechanics::{DriveFacts, LoadSection, SupplySection};
 use super::plan::Plan;
-use drivebench_link::DriveProfile;
 use drivebench_link::offer::{self, Purpose};
+use drivebench_link::{DriveProfile, StatedMotor};
 use drivebench_model::excitation::ExcitationError;
 
 /// Values that the drive reported; nothing is written to it.
@@ -37,6 +37,7 @@ pub struct Readback {
     pub bus_v: Option<f64>,
     /// 0: it is off.
     pub watchdog_s: Option<f64>,
+    pub motor: Option<StatedMotor>,
 }
 
 #[derive(Clone, Debug)]
@@ -147,7 +148,10 @@ impl InitFile {
 /// The drive's signals are enough for no purpose, a nameplate value is not allowed, or even the smallest sequence exceeds a
 /// limit.
 pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
-    let (profile, motor) = (request.profile, request.motor);
+    let given = request;
+    let motor = &completed(request.motor, request.readback.motor.unwrap_or_default());
+    let request = &InitRequest { motor, ..given.clone() };
+    let profile = request.profile;
     if let Some((key, value)) = motor.refused() {
         let file = request.motor_file;
         return Err(InitError::new(
@@ -221,10 +225,21 @@ pub fn init_file(request: &InitRequest<'_>) -> Result<InitFile, InitError> {
     remarks.extend(unproven_watchdog(request));
     remarks.extend(fitted.remarks);
     let plan = fitted.plan;
-    let text = page::text(request, &bench, purpose, &reasons, &remarks, plan.as_ref());
+    let text = page::text(given, &bench, purpose, &reasons, &remarks, plan.as_ref());
     let read = BenchFile::parse("the new bench file", &text)?;
     read.check_speed("the new bench file", &text)?;
     Ok(InitFile { bench: read, text, purpose, reasons, remarks, plan })
+}
+
+/// The nameplate with what it leaves out and the drive states; of an unknown motor only the rated values are used.
+fn completed(given: &MotorSection, stated: StatedMotor) -> MotorSection {
+    let stated = if given.unknown { StatedMotor::default() } else { stated };
+    MotorSection {
+        resistance_ohm: given.resistance_ohm.or(stated.resistance_ohm),
+        inductance_h: given.inductance_h.or(stated.inductance_h),
+        back_emf_v_s_per_rad: given.back_emf_v_s_per_rad.or(stated.back_emf_v_s_per_rad),
+        ..given.clone()
+    }
 }
 
 /// A remark where the proof of the watchdog will fail.

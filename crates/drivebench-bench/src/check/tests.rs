@@ -11,7 +11,7 @@ use crate::limits::Nameplate;
 use crate::testing::{Fault, ScriptedDrive, Stalls, exact, gone, has, in_memory, near, within};
 use drivebench_emulator::{
     EmulatorConfig, FaultsConfig, ForeignBus, ForeignDrive, Guise, Latency, MemoryLink, SoftDrive,
-    VirtualClock, mystery,
+    VirtualClock, mystery, open_line,
 };
 use drivebench_link::{CellBus, CommandTimes, ProfiledLink, Put};
 
@@ -480,6 +480,27 @@ impl Host {
 
     fn is_running(&self) -> bool {
         self.link.bus().drive().is_running()
+    }
+}
+
+#[test]
+fn what_the_drive_states_of_its_motor_is_compared_with_the_nameplate() {
+    let profile = DriveProfile::named("vesc-foc").unwrap();
+    let guise = Guise::of(&profile).unwrap();
+    for (share, remark) in
+        [(1.2, ""), (1.5, "; the nameplate differs by more than 30 %: R 1.65 ohm")]
+    {
+        let mut clock = VirtualClock::new();
+        let config = exact("zk-22fc-plain");
+        let mut link = open_line(Some(&guise), &config, 1, &profile, clock.clone()).unwrap();
+        let mut nameplate = plain().0;
+        nameplate.resistance_ohm *= share;
+        let first = FirstMove { nameplate: &nameplate, profile: &profile, is_withheld: true };
+        let options = CheckOptions { first_move: Some(first), hardware_allowed: true, ..waived() };
+        let report = check(link.as_mut(), &mut clock, &limits(), options).unwrap();
+        passes(&report);
+        let states = "the drive states R 1.1 ohm, L 0.0099 H, Ke 0.3538 V.s/rad between two lines (stored as 0.55, 0.00495, 0.2043)";
+        assert_eq!(text(&report, "motor"), format!("{states}{remark}"));
     }
 }
 

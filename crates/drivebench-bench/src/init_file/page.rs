@@ -163,7 +163,7 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
             "only the rated values are used: `run` finds the motor from small steps first",
         );
     }
-    let given = motor.values();
+    let (given, values) = (request.motor.values(), motor.values());
     for (key, meaning) in [
         ("rated_voltage_v", "V"),
         ("rated_current_a", "A"),
@@ -174,7 +174,13 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
         ("inertia_kg_m2", "kg.m2, load included"),
         ("load_torque_n_m", "N.m, Coulomb, always against the motion"),
     ] {
-        match given.iter().find(|(known, _)| *known == key) {
+        let is_given = given.iter().any(|(known, _)| *known == key);
+        match values.iter().find(|(known, _)| *known == key) {
+            Some((_, value)) if !is_given => {
+                let unit = meaning.split([',', ';']).next().unwrap_or_default();
+                let meaning = format!("{unit}; as the drive states it, between two lines");
+                page.value(key, &number(*value), &meaning);
+            }
             Some((_, value)) => page.value(key, &number(*value), meaning),
             None => {
                 page.left_out(key, "not on the nameplate: `run` finds it from small steps first");

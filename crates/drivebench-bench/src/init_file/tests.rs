@@ -15,6 +15,7 @@ fn readback() -> Readback {
         voltage_limit_v: Some(120.0),
         bus_v: Some(120.0),
         watchdog_s: Some(0.5),
+        motor: None,
     }
 }
 
@@ -135,6 +136,40 @@ fn a_drive_that_takes_a_current_gets_a_sequence_of_currents() {
     assert!(file.plan.is_none() && file.bench.limits().time_s > 70.0);
     let levels = &file.bench.currents.as_ref().unwrap().levels_a;
     assert!(levels.is_sorted() && levels[0] < 0.2, "{levels:?}");
+}
+
+#[test]
+fn what_the_drive_states_of_its_motor_completes_the_nameplate() {
+    let rated = MotorSection {
+        resistance_ohm: None,
+        inductance_h: None,
+        back_emf_v_s_per_rad: None,
+        ..nameplate()
+    };
+    let stated = StatedMotor {
+        resistance_ohm: Some(1.3),
+        inductance_h: Some(0.008),
+        back_emf_v_s_per_rad: Some(0.34),
+        ..StatedMotor::default()
+    };
+    let stating = Readback { motor: Some(stated), ..readback() };
+    assert!(made("vesc-foc", &rated, readback()).unwrap().plan.is_none());
+    let file = made("vesc-foc", &rated, stating.clone()).unwrap();
+    for line in [
+        "resistance_ohm = 1.3  # ohm; as the drive states it, between two lines",
+        "inductance_h = 0.008  # H; as the drive states it, between two lines",
+        "back_emf_v_s_per_rad = 0.34  # V.s/rad; as the drive states it, between two lines",
+        "inertia_kg_m2 = 0.0045  # kg.m2, load included",
+    ] {
+        has(&file.text, line);
+    }
+    assert!(file.plan.is_some());
+    // What is given stays, and of an unknown motor only the rated values count.
+    let file = made("vesc-foc", &nameplate(), stating.clone()).unwrap();
+    assert_eq!(file.bench.motor, nameplate());
+    assert!(!file.text.contains("as the drive states it"), "{}", file.text);
+    let unknown = MotorSection { unknown: true, ..rated };
+    assert_eq!(made("own", &unknown, stating).unwrap().bench.motor, unknown);
 }
 
 #[test]
