@@ -6,6 +6,7 @@ mod trial;
 
 use super::*;
 use crate::{VirtualClock, open_line};
+use drivebench_link::register_map::Kind;
 use drivebench_link::{CellBus, DriveLink, LinkError, ProfiledLink, Put, Result, StatedMotor};
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Quality, Sample};
 
@@ -508,7 +509,7 @@ fn the_motor_that_a_vesc_states_is_found_in_every_firmware() {
         assert!((flux_v_s * 3.0_f64.sqrt() / truth.back_emf_v_s_per_rad - 1.0).abs() < 1e-6);
     }
     // Missing: what has no place for this firmware, and what the firmware holds before any detection.
-    let delivered = format!("invalid = [{}]", (flux_v_s as f32).to_bits());
+    let delivered = format!("invalid = [{}]", registers::bits(Kind::F32, flux_v_s));
     let host = [
         ("bytes = { 2525666056 = 189, ", "bytes = { "),
         ("invalid = [0x3B20902E]", delivered.as_str()),
