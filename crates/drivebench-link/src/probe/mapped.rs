@@ -166,9 +166,10 @@ fn signal(
 ) -> ProbedSignal {
     let signal = &picture.map.signals[index];
     let raw = |name: &str| pattern(picture.map, picture.windows, name);
-    let location = signal.placed(raw).unwrap_or(signal.location);
+    let place = signal.placed(raw);
+    let location = place.unwrap_or(signal.location);
     let reading = picture.reading(index);
-    let plausible = picture.fits(index, reading);
+    let plausible = picture.fits(index, reading).filter(|_| place.is_some());
     let unit = signal.numbers.unit.name();
     let missing = match reading {
         Reading::Value(_) => None,

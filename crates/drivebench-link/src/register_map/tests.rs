@@ -145,7 +145,7 @@ fn the_place_of_a_value_follows_the_firmware_or_is_none() {
         (Some(3_698_540_221), [None; 3]),
         (None, [None; 3]),
     ] {
-        let found = ["phase_inductance", "phase_resistance", "flux_linkage"];
+        let found = ["inductance", "resistance", "back_emf"];
         assert_eq!(found.map(|name| at(name, raw)), places, "{raw:?}");
     }
     assert_eq!(at("phase_current_limit", None), Some(8));
