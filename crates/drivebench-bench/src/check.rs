@@ -384,14 +384,11 @@ impl Checker<'_> {
             let Some(value) = value else {
                 continue;
             };
-            values.push(format!("{symbol} {} {unit}", number::shortest(value, 4)));
-            stored.extend(own.map(|own| number::shortest(own, 4)));
+            let text = |value| format!("{symbol} {} {unit}", number::shortest(value, 4));
             let differs = |plate: &f64| (value / plate - 1.0).abs() > STATED_SHARE;
-            other.extend(
-                nameplate
-                    .filter(differs)
-                    .map(|plate| format!("{symbol} {} {unit}", number::shortest(plate, 4))),
-            );
+            values.push(text(value));
+            stored.extend(own.map(|own| number::shortest(own, 4)));
+            other.extend(nameplate.filter(differs).map(text));
         }
         let mut parts = vec![format!(
             "the drive states {} between two lines (stored as {})",
