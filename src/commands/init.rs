@@ -115,7 +115,7 @@ fn bench(
         ));
     }
     let (mut profile, _) = opening::profile(drive)?;
-    profile.link.baud = arguments.baud.unwrap_or(profile.link.baud);
+    profile.set_baud(arguments.baud.unwrap_or(profile.link.baud));
     profile.link.unit = arguments.unit.unwrap_or(profile.link.unit);
     let motor_file = motor.display().to_string();
     let motor = nameplate(&motor_file, &read_text(motor)?)?;

@@ -216,6 +216,15 @@ impl DriveProfile {
         }
     }
 
+    /// Over a line of this baud rate. The rate of the fast signals is stated at the profile's own, and a faster line carries more.
+    pub fn set_baud(&mut self, baud: u32) {
+        let times = f64::from(baud) / f64::from(self.link.baud);
+        self.link.baud = baud;
+        if let Some(map) = self.registers.as_mut().filter(|_| times > 1.0) {
+            Arc::make_mut(map).rates.fast_hz *= times;
+        }
+    }
+
     /// One line for the user: the drive, and how far its numbers are verified.
     pub fn provenance(&self) -> String {
         let (mut title, mut note) = (String::new(), String::new());

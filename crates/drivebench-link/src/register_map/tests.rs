@@ -16,9 +16,9 @@ fn map(name: &str) -> RegisterMap {
 }
 
 #[test]
-fn all_sixteen_have_name_source_and_trust() {
+fn each_has_name_source_and_trust() {
     let profiles = foreign();
-    assert_eq!(profiles.len(), 16);
+    assert_eq!(profiles.len(), 18);
     for (name, _) in profiles {
         let profile = DriveProfile::named(name).unwrap();
         assert_eq!(profile.name, name);
