@@ -6,18 +6,18 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 29_150),
+    ("crates/drivebench-bench", 29_750),
     ("crates/drivebench-control", 6_690),
     ("crates/drivebench-diagnose", 21_250),
-    ("crates/drivebench-emulator", 13_050),
-    ("crates/drivebench-identify", 23_760),
-    ("crates/drivebench-link", 18_700),
-    ("crates/drivebench-model", 16_400),
+    ("crates/drivebench-emulator", 13_100),
+    ("crates/drivebench-identify", 23_930),
+    ("crates/drivebench-link", 18_830),
+    ("crates/drivebench-model", 16_610),
     ("crates/drivebench-studies", 10_200),
     ("firmware-protocol", 5_010),
-    ("src/commands", 14_940),
-    ("src/report", 9_040),
-    ("src/runtime", 2_870),
+    ("src/commands", 15_060),
+    ("src/report", 9_060),
+    ("src/runtime", 2_890),
     ("src/tui", 8_020),
     ("src/workflow", 5_040),
     ("tests/bench", 2_430),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 725;
+const MOST_NUMERIC_CONSTANTS: usize = 735;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];
