@@ -26,7 +26,7 @@ pub struct Winding {
     pub drop_v: (f64, f64),
 }
 
-/// `None` where the run has no voltage beside a commanded current, or too few rows of it.
+/// `None` where the run has no voltage with a commanded current, or too few rows of it.
 pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let times = &scenario.sample_time_s;
     let period_s = median_step(times);
