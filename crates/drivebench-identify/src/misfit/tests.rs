@@ -143,16 +143,16 @@ fn an_inertia_by_a_sampled_current_is_as_uncertain_as_the_samples() {
     let error = kt * excess_a / rate;
     let mut scenario = scenario_of(&model, 4.0);
     scenario.sample_time_s = (0..800).map(|k| f64::from(k) * step_s).collect();
-    let found = |input: Input, motor: &Motor, scenario: &mut Scenario| {
-        scenario.input = input;
+    let found = |input: Channel, motor: &Motor, scenario: &mut Scenario| {
+        scenario.input_channel = input;
         let own = ParameterEstimate::found(MotorKey::Inertia.key(), "kg.m2", inertia, 0.0, None);
         let mut found = vec![own];
         widen_by_sampled_current(&mut found, motor, scenario);
         found.remove(0).std.unwrap()
     };
-    let wide = found(Input::Current, motor, &mut scenario);
+    let wide = found(Channel::Current, motor, &mut scenario);
     assert!((0.9..1.5).contains(&(wide / error)), "{wide} {error}");
-    assert!(found(Input::Torque, motor, &mut scenario) < 1e-12 * inertia);
+    assert!(found(Channel::VoltageCmd, motor, &mut scenario) < 1e-12 * inertia);
     let unknown = Motor::new("no armature");
-    assert!(found(Input::Current, &unknown, &mut scenario) < 1e-12 * inertia);
+    assert!(found(Channel::Current, &unknown, &mut scenario) < 1e-12 * inertia);
 }
