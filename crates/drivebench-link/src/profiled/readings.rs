@@ -302,6 +302,9 @@ pub(super) struct Clock {
     count_s: f64,
     resolution_s: f64,
     counter: DriveClock,
+    /// Host time of the first reading, s. The axis begins there, so that commands and events with a host time only are at most
+    /// the drift of the two clocks beside the samples.
+    origin_s: Option<f64>,
     map: ClockMap,
     /// Of the last reading, s.
     half_width_s: f64,
@@ -323,13 +326,14 @@ impl Clock {
             count_s: resolution_s * 0.5_f64.powi(shift.cast_signed()),
             resolution_s,
             counter: DriveClock::default(),
+            origin_s: None,
             map: ClockMap::default(),
             half_width_s: 0.5 * resolution_s,
         })
     }
 
-    /// Drive time of the counter as it was read last, s since the first one. Within a count it follows the host's clock, as well
-    /// as the exchange does and the offset of both clocks is known.
+    /// Drive time of the counter as it was read last, s; at the first reading that of the host. Within a count it follows the
+    /// host's clock, as well as the exchange does and the offset of both clocks is known.
     pub(super) fn follow(&mut self, readings: &Readings) -> f64 {
         let reading = readings.at(self.signal);
         let span = reading.span;
@@ -337,8 +341,9 @@ impl Clock {
         let raw = reading.pattern.unwrap_or_default() << self.shift;
         // What [`DriveClock`] takes a count for, s.
         let counts = self.count_s / 1e-6;
-        let count_s = self.counter.follow(raw, span.middle_s() / counts) * counts;
         let half_count_s = 0.5 * self.resolution_s;
+        let origin_s = *self.origin_s.get_or_insert(span.middle_s() - half_count_s);
+        let count_s = origin_s + self.counter.follow(raw, span.middle_s() / counts) * counts;
         self.map.observe(span, count_s + half_count_s);
         // An offset is the mean of marks that each are off by up to half of a count.
         let offset_s = half_count_s / (self.map.marks() as f64).sqrt();
@@ -350,8 +355,8 @@ impl Clock {
         self.half_width_s
     }
 
-    /// A host time on the drive's clock, s; before the first look at it, its zero.
+    /// A host time on the drive's clock, s; before the first reading of it, the host's own.
     pub(super) fn of_host_s(&self, host_s: f64) -> f64 {
-        self.map.offset_s(host_s).map_or(0.0, |offset_s| host_s + offset_s)
+        self.map.offset_s(host_s).map_or(host_s, |offset_s| host_s + offset_s)
     }
 }
