@@ -76,7 +76,11 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
     ] {
         let clock = with_clock(kind, unit, scale);
         let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
+        table.pass(1.7);
         let first = table.rest();
+        // The axis begins at the host's time, within the first reading.
+        let reading_s = first.host_time_s.unwrap() - first.time_s;
+        assert!((0.0..0.02).contains(&reading_s), "{reading_s}");
         let began_s = table.far().time_s() - first.time_s;
         // A u16 of 0.1 ms comes round every 6.6 s, one of 1 ms every 65.5 s.
         for _ in 0..pauses {
