@@ -261,7 +261,10 @@ impl Readings {
     /// may lose a digit, and a tenth of the supply would be ten times the duty.
     pub(super) fn demand_si(&self, point: &SetPoint) -> Option<f64> {
         let percent_v = || {
-            let (_, si) = self.map.of_channel(Channel::Bus)?.channel?;
+            let bus = self.map.of_channel(Channel::Bus)?;
+            let (_, si) = bus.channel?;
+            // While the supply is not read, none of the latest holds.
+            self.get(&bus.name)?.value?;
             Some(0.01 * si * self.supply.into_iter().fold(f64::NAN, f64::max))
         };
         let is_duty = point.keys.quantity == Quantity::Duty;
