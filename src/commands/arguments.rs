@@ -631,7 +631,8 @@ fn seconds(text: &str) -> Result<f64, String> {
 #[derive(clap::Args, Clone, Copy, Debug)]
 pub(super) struct UnknownMotor {
     /// Find the motor from small steps first and compare it with its nameplate; the sequence runs only if it suits the
-    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead)
+    /// motor that was found (motor.unknown = true in the bench file makes it smaller instead). With [currents] in the bench file: find it from
+    /// small currents, and fit the sequence to it
     #[arg(long)]
     pub(super) escalate: bool,
 }

@@ -32,7 +32,8 @@ const NAMELESS: &str = "bench.toml";
   drivebench init --suite runs/*-fit --out golden.toml                limits of later tests from these runs
 
 A nameplate is the [motor] table of a bench file, with or without the header. Name and rated values are needed; what makes
-the model of the motor may be left out where the drive takes a voltage: `drivebench run` then finds it from small steps first.
+the model of the motor may be left out where the drive takes a voltage, or a current while it measures the voltage: `drivebench
+run` then finds it from small steps first.
 The drive's own limits are read, and nothing is written to it; --offline skips this. No file is ever overwritten.
 
 --suite takes run folders of `commission`, `run` and `speed` that passed, of one machine on one bench. Each limit has its

@@ -21,7 +21,8 @@ use drivebench_link::{DriveProfile, LineBudget, LostReply, offer};
 #[command(
     after_help = "Example:\n  drivebench plan bench-configs/benches/zk-22fc-emulated.toml\n\n\
 A motor that is not known (motor.unknown = true, or values left out) is found from small steps first: then the plan shows the\n\
-first of them and what follows. Where only load_torque_n_m is left out, the sequence is predicted without friction."
+first of them and what follows; with [currents], the currents that rise. Where only load_torque_n_m is left out,\n\
+the sequence is predicted without friction."
 )]
 pub(super) struct Arguments {
     /// Bench file; without it the embedded one
