@@ -8,6 +8,7 @@ use crate::currents::CurrentsSection;
 use crate::plan::Plan;
 use drivebench_link::KickedBy;
 use drivebench_model::excitation::Segment;
+use drivebench_model::plant::MotorKey;
 use drivebench_model::text::lines::{capitalised, wrapped};
 
 /// Longest line, characters.
@@ -183,7 +184,15 @@ fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
             }
             Some((_, value)) => page.value(key, &number(*value), meaning),
             None => {
-                page.left_out(key, "not on the nameplate: `run` finds it from small steps first");
+                let is_held = bench.currents.is_some() && key == MotorKey::Inductance.key();
+                page.left_out(
+                    key,
+                    if is_held {
+                        "not on the nameplate: no run shows it, because the drive controls the current"
+                    } else {
+                        "not on the nameplate: `run` finds it from small steps first"
+                    },
+                );
             }
         }
     }
