@@ -559,6 +559,7 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     let (mut cautions, name) = (Vec::new(), &run.name);
     let channel = scenario.input_channel;
     cautions.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
+    cautions.extend(record::unconfirmed(scenario));
     let whole = scenario.unknown_input.iter().all(|hole| hole.lost_rows == 0);
     if scenario.has_sampled_input() {
         let key = channel.key();

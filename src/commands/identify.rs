@@ -403,6 +403,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
     let limits = claims::limit(&mut found.parameters, run, scenario);
     found.notes.extend(limits);
     found.notes.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
+    found.notes.extend(record::unconfirmed(scenario));
     Ok(temperature::complete(found, run, scenario))
 }
 

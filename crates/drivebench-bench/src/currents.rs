@@ -246,7 +246,7 @@ pub struct CurrentsPilot {
 }
 
 impl CurrentsPilot {
-    /// `run_seed`: as of [`Currents`].
+    /// `run_seed`: as of `Currents`.
     pub fn new(section: &CurrentsSection, run_seed: Option<u64>, silence_s: f64) -> Self {
         Self {
             section: section.clone(),

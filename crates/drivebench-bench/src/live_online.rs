@@ -149,6 +149,7 @@ impl LiveEstimator for RowEstimator {
             }
         }
         sample.limited = row.is_limited();
+        sample.is_unconfirmed = row.is_unconfirmed();
         self.online.push(&sample);
         self.rows += 1;
     }

@@ -55,6 +55,8 @@ pub struct Online {
     /// drive.
     late: Option<Box<Scheme3>>,
     applied: AppliedVoltage,
+    /// The last one.
+    applied_v: Option<f64>,
     /// Largest half-width of a stamp over about the last hundred samples, s; zero for stamps of the drive.
     half_width_s: f64,
     frozen: Frozen,
@@ -88,6 +90,7 @@ impl Online {
             scheme_3: Scheme3::new(config.memory, config.torque_n_m_per_a, config.start),
             late: None,
             applied: AppliedVoltage::default(),
+            applied_v: None,
             half_width_s: 0.0,
             frozen: Frozen::default(),
             last_s: None,
@@ -113,6 +116,12 @@ impl Online {
     pub fn push(&mut self, sample: &Sample) {
         let time_s = sample.time_s;
         if let Some(volts) = self.applied.of(sample) {
+            let changes = self.applied_v.is_none_or(|before| before.to_bits() != volts.to_bits());
+            if sample.is_unconfirmed && changes {
+                self.scheme_3.interrupt();
+                self.late.iter_mut().for_each(|late| late.interrupt());
+            }
+            self.applied_v = Some(volts);
             self.hold(time_s, volts);
         }
         let good = [Channel::Current, Channel::Speed].map(|channel| sample.good(channel));

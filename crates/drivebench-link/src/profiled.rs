@@ -82,6 +82,8 @@ pub struct ProfiledLink<B> {
     clock: Option<Clock>,
     /// Time since which the fault condition has held, s.
     in_fault_since_s: Option<f64>,
+    /// When a drive was enabled that reported the silence before it, s, until it has reported that this is over.
+    lost_before_s: Option<f64>,
 }
 
 impl<B: CellBus> ProfiledLink<B> {
@@ -92,6 +94,7 @@ impl<B: CellBus> ProfiledLink<B> {
             watchdog_s: map.watchdog.default_s().filter(|time| *time > 0.0),
             clock: Clock::of(&map),
             in_fault_since_s: None,
+            lost_before_s: None,
             map,
             bus,
             mode: Mode::Off,
@@ -184,8 +187,10 @@ impl<B: CellBus> ProfiledLink<B> {
             self.points.may_join(self.readings.joinable().is_some());
             if let Wanted::Run(Some((name, value))) = wanted {
                 let points = &mut self.points;
+                points.has_written = false;
                 let put = points.put(&mut far_end!(self), name, *value);
-                self.is_unsent = !was_sent(&put);
+                // A write that was acknowledged acts, whatever becomes of its read-back.
+                self.is_unsent = !was_sent(&put) && !points.has_written;
                 let is_taken =
                     put.is_ok() && points.mismatches() == 0 && points.acting(0.0).is_none();
                 put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
@@ -339,6 +344,8 @@ impl<B: CellBus> ProfiledLink<B> {
                     && self.state() != DriveState::Fault
                     && self.hindrance().is_none() =>
             {
+                let is_lost = self.reported("comm_loss") == Some(true);
+                self.lost_before_s = is_lost.then_some(now_s);
                 let enable = Sequence::new("enable", &self.map.commands.enable, now_s);
                 self.mode = Mode::Enabling(enable.preceded(self.all_to_zero()));
             }
@@ -498,6 +505,9 @@ impl<B: CellBus> ProfiledLink<B> {
     /// End of a run by the drive. The sample reports the first cause, not a consequence such as refused writes of a drive in fault.
     fn supervise(&mut self) -> Result<()> {
         let now_s = self.bus.now_s();
+        if self.reported("comm_loss") == Some(false) {
+            self.lost_before_s = None;
+        }
         let in_fault = self.is_in_fault();
         let since_s = in_fault.then(|| self.in_fault_since_s.unwrap_or(now_s));
         if in_fault && std::mem::replace(&mut self.in_fault_since_s, since_s).is_none() {

@@ -2,6 +2,7 @@
 
 use drivebench_identify::lost_rows::LostRows;
 use drivebench_identify::voltage_departure::Departure;
+use drivebench_model::plant::Scenario;
 
 /// The missing rows of a record: their count, position and treatment.
 pub fn lost_rows(found: &LostRows) -> String {
@@ -35,6 +36,26 @@ pub fn lost_rows(found: &LostRows) -> String {
         100.0 * found.lost as f64 / found.of as f64,
         to_s - from_s,
     )
+}
+
+/// The changes of the command that the drive did not confirm; none where it confirmed all within the record.
+pub fn unconfirmed(scenario: &Scenario) -> Option<String> {
+    let last_s = *scenario.sample_time_s.last()?;
+    let holes = scenario.unknown_input.iter();
+    let of_commands = holes.filter(|hole| hole.is_unconfirmed() && hole.from_s < last_s);
+    let lengths_s: Vec<f64> = of_commands.map(|hole| hole.to_s.min(last_s) - hole.from_s).collect();
+    let count = lengths_s.len();
+    let commands =
+        if count == 1 { "1 change of the command was" } else { "changes of the command were" };
+    let number = if count == 1 { String::new() } else { format!("{count} ") };
+    (count > 0).then(|| {
+        format!(
+            "{}: {number}{commands} not confirmed by the drive, and acted at an unknown time: {:.3} s are not compared, and every \
+             simulation restarts from the measurement after them",
+            scenario.name,
+            lengths_s.iter().sum::<f64>()
+        )
+    })
 }
 
 /// A number with separators of thousands.

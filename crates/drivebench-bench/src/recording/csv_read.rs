@@ -62,10 +62,13 @@ pub(super) fn collect(
     let channels: Vec<Channel> = rows.channels().collect();
     let mut columns = vec![Vec::new(); channels.len()];
     let mut time_s = Vec::new();
-    let mut limited_rows = Vec::new();
+    let (mut limited_rows, mut unconfirmed_rows) = (Vec::new(), Vec::new());
     while let Some(row) = rows.next_row()? {
         if row.is_limited() {
             limited_rows.push(time_s.len());
+        }
+        if row.is_unconfirmed() {
+            unconfirmed_rows.push(time_s.len());
         }
         time_s.push(row.time_s);
         for (column, channel) in columns.iter_mut().zip(&channels) {
@@ -83,6 +86,7 @@ pub(super) fn collect(
         run.set_column(channel, column, origin).map_err(wrap)?;
     }
     run.set_limited_rows(limited_rows);
+    run.set_unconfirmed_rows(unconfirmed_rows);
     run.rows_dropped = rows.rows_dropped();
     run.notes.extend(rows.dialect());
     run.notes.extend(rows.conversions());

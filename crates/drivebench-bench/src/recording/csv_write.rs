@@ -7,6 +7,7 @@ use drivebench_model::sample::{Channel, Run};
 
 /// Remark of a command that a limit of the drive changed.
 pub(super) const LIMITED: &str = "limited";
+pub(super) const UNCONFIRMED: &str = "unconfirmed";
 
 /// Type of a column of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -66,10 +67,19 @@ impl Row {
 
     /// A limit of the drive changed the output.
     pub fn is_limited(&self) -> bool {
+        self.command_has(LIMITED)
+    }
+
+    /// The drive did not confirm the command of this row.
+    pub fn is_unconfirmed(&self) -> bool {
+        self.command_has(UNCONFIRMED)
+    }
+
+    fn command_has(&self, reason: &str) -> bool {
         let mut remarks = self.quality.split(' ').filter_map(|remark| remark.split_once(':'));
         !self.quality.is_empty()
-            && remarks.any(|(key, reason)| {
-                reason == LIMITED
+            && remarks.any(|(key, why)| {
+                why == reason
                     && [Channel::VoltageCmd, Channel::CurrentCmd].map(Channel::key).contains(&key)
             })
     }

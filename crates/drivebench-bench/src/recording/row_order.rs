@@ -9,7 +9,7 @@
 
 use std::collections::VecDeque;
 
-use super::csv_write::LIMITED;
+use super::csv_write::{LIMITED, UNCONFIRMED};
 use super::{Layout, Row};
 use drivebench_model::sample::{Applied, Channel, Command, Demand, Quality, Sample};
 
@@ -81,7 +81,7 @@ impl RowOrder {
         // A drive that does not echo sequence numbers must not fill the memory.
         while self.waiting.len() > 64 {
             self.unconfirmed += 1;
-            self.place_front(Some("unconfirmed"), &mut sample_row);
+            self.place_front(Some(UNCONFIRMED), &mut sample_row);
         }
         self.last_s = sample_row.time_s;
         self.rows.push(sample_row);
@@ -99,7 +99,7 @@ impl RowOrder {
         while let Some(waiting) = self.waiting.pop_front() {
             self.unconfirmed += 1;
             let mut row = Row::at(self.after_last(waiting.time_s));
-            self.fill(&waiting, Some("unconfirmed"), &mut row);
+            self.fill(&waiting, Some(UNCONFIRMED), &mut row);
             if self.has_value(&row) {
                 self.last_s = row.time_s;
                 self.rows.push(row);
@@ -120,7 +120,7 @@ impl RowOrder {
                 front.time_s = front.time_s.min(applied.time_s);
                 self.unconfirmed += 1;
             }
-            self.place_front((!confirmed).then_some("unconfirmed"), sample_row);
+            self.place_front((!confirmed).then_some(UNCONFIRMED), sample_row);
         }
     }
 

@@ -179,6 +179,11 @@ impl Scheme3 {
         }
     }
 
+    /// The voltage up to the next command is not known: the next block begins at the sample after it.
+    pub fn interrupt(&mut self) {
+        self.readings.clear();
+    }
+
     /// Takes one sample; one that is not finite or not later than the last is left out.
     pub fn push(&mut self, time_s: f64, current_a: f64, speed_rad_s: f64) {
         if !(time_s.is_finite() && current_a.is_finite() && speed_rad_s.is_finite()) {

@@ -36,10 +36,15 @@ impl<B: CellBus> ProfiledLink<B> {
     }
 
     /// Whether it reports that its watchdog has expired. One that resumes with the next command reports it of every silence, also
-    /// of that before the first command.
+    /// of that before the first command, and may clear it some time after that command: VESC looks every 10 ms. Longer than the
+    /// watchdog's time it is a report of this run.
     fn has_lost_host(&self) -> bool {
         let rests = self.mode == Mode::Off && self.map.watchdog.keys.auto_resume;
-        self.reported("comm_loss") == Some(true) && !rests
+        let since_s = self.lost_before_s.zip(self.watchdog_s);
+        let is_of_before = since_s.is_some_and(|(enabled_s, watchdog_s)| {
+            self.map.watchdog.keys.auto_resume && self.bus.now_s() - enabled_s < watchdog_s
+        });
+        self.reported("comm_loss") == Some(true) && !rests && !is_of_before
     }
 
     /// The code of its fault, as last read; 0 is none.

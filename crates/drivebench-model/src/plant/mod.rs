@@ -24,6 +24,7 @@ mod simulate;
 pub mod testing;
 mod torque_map;
 mod typical_size;
+mod unconfirmed;
 mod unknown_input;
 
 pub(crate) use crate::numerics::propagator;

@@ -11,6 +11,7 @@ use super::limited::{LimitReached, applied};
 use super::run_scales::RunScales;
 use super::sampled_edges;
 use super::shaft_angle::continuous;
+use super::unconfirmed;
 use super::unknown_input::{self, Rows, UnknownInput};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::{mean, mean_step, median_step, variance};
@@ -84,7 +85,7 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero for a stamp of the drive. Empty: all are stamps of the drive.
     pub time_half_width_s: Vec<f64>,
-    /// Intervals in which rows with the voltage were lost, or in which a sampled voltage changed, in order; `events` have its
+    /// Intervals in which rows with the voltage were lost, a sampled voltage changed or a command was not confirmed, in order; `events` have its
     /// estimate there. Empty in a whole record whose changes are at their stamps.
     pub unknown_input: Vec<UnknownInput>,
     /// Intervals in which the drive reached its current limit, in order.
@@ -141,8 +142,14 @@ impl Scenario {
             input_of(run).ok_or_else(|| ScenarioError::NoInput { run: run.name.clone() })?;
         let mut events: Vec<Point> = run.points(channel).collect();
         let (mut limits, mut steps_s, mut lag_s) = (Vec::new(), Vec::new(), 0.0);
+        let mut unconfirmed = Vec::new();
         match channel {
-            Channel::VoltageCmd => (events, limits) = applied(run, &events),
+            Channel::VoltageCmd => {
+                (events, limits) = applied(run, &events);
+                let found = unconfirmed::find(run, channel);
+                found.iter().for_each(|own| own.put_into(&mut events));
+                unconfirmed = found.into_iter().map(|own| own.interval).collect();
+            }
             Channel::CurrentCmd => {
                 let steps = commanded_current::steps(&events);
                 lag_s = commanded_current::lag_s(run, &steps);
@@ -204,7 +211,7 @@ impl Scenario {
         scenario.refuse_gaps()?;
         if input == Input::Voltage {
             let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
-            scenario.bridge_lost_rows(!is_own);
+            scenario.bridge_unknown(unconfirmed, !is_own);
         }
         scenario.find_scales();
         Ok(scenario)
@@ -223,8 +230,8 @@ impl Scenario {
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
-    /// hole; of a voltage that may be `sampled`, also of the instants of its changes.
-    fn bridge_lost_rows(&mut self, may_be_sampled: bool) {
+    /// hole or an unconfirmed command; of a voltage that may be `sampled`, also of the instants of its changes.
+    fn bridge_unknown(&mut self, unconfirmed: Vec<UnknownInput>, may_be_sampled: bool) {
         let times = &self.sample_time_s;
         let mut sample = 0;
         let measured: Vec<[f64; 2]> = (self.events.iter())
@@ -249,6 +256,7 @@ impl Scenario {
             self.events[edge.event].0 = edge.at_s;
             holes.push(edge.interval);
         }
+        holes.extend(unconfirmed);
         holes.sort_by(|a, b| a.from_s.total_cmp(&b.from_s));
         if holes.is_empty() {
             return;

@@ -18,7 +18,8 @@ use nalgebra::{SMatrix, SVector};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::{largest, mean, median};
 
-/// An interval without a row of the input, or, without a lost row, one in which it changed at an unknown instant.
+/// An interval without a row of the input, or, without a lost row, one in which it changed at an unknown instant or a command was not
+/// confirmed.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UnknownInput {
     pub from_s: f64,
@@ -79,9 +80,24 @@ impl UnknownInput {
         Self { from_s, to_s, lost_rows: 0, mean, beside, variance, restart: None }
     }
 
+    /// The interval of a command that was not confirmed; `measured` at its end.
+    pub(super) const fn of_unconfirmed(
+        [from_s, to_s]: [f64; 2],
+        mean: f64,
+        variance: f64,
+        measured: [f64; 2],
+    ) -> Self {
+        Self { restart: Some(measured), ..Self::of_edge(from_s, to_s, mean, variance) }
+    }
+
     /// Whether no row was lost: the input changed at an unknown instant.
     pub const fn is_of_edge(&self) -> bool {
-        self.lost_rows == 0 && self.variance > 0.0
+        self.lost_rows == 0 && self.variance > 0.0 && self.restart.is_none()
+    }
+
+    /// Whether a command was not confirmed.
+    pub const fn is_unconfirmed(&self) -> bool {
+        self.lost_rows == 0 && self.variance > 0.0 && self.restart.is_some()
     }
 
     /// The estimate as a zero-order hold: `(time, value)`.

@@ -86,6 +86,8 @@ pub struct Sample {
     pub hindrance: Option<Hindrance>,
     /// A limit of the drive was active: the voltage was not the commanded one.
     pub limited: bool,
+    /// The command in it was not confirmed by the drive: it acted at an unknown time before the next one, if at all.
+    pub is_unconfirmed: bool,
     /// Field current of a motor with a separate field, where the drive's profile maps it, A.
     pub field_a: Option<f64>,
     /// The last command that the drive applied, and when.

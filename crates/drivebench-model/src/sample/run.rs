@@ -87,6 +87,8 @@ pub struct Run {
     sides: [Option<Side>; Channel::COUNT],
     /// Rows, in order, at which the drive reported an active limit of its output.
     limited_rows: Vec<usize>,
+    /// Rows, in order, with a command that the drive did not confirm.
+    unconfirmed_rows: Vec<usize>,
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
     /// Sentences for the reader: runs of fit and hold-out, derived columns.
@@ -149,6 +151,16 @@ impl Run {
     /// Rows at which a limit of the drive was active, so that the voltage was not the commanded one.
     pub fn limited_rows(&self) -> &[usize] {
         &self.limited_rows
+    }
+
+    /// Sets the rows, in order, with a command that the drive did not confirm.
+    pub fn set_unconfirmed_rows(&mut self, rows: Vec<usize>) {
+        self.unconfirmed_rows = rows;
+    }
+
+    /// Rows with a command of which it is unknown whether and when, before the next one, it acted.
+    pub fn unconfirmed_rows(&self) -> &[usize] {
+        &self.unconfirmed_rows
     }
 
     /// The same run without one of its columns.
