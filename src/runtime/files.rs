@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::Value;
 
-use crate::report::wording::{sanity as words, times};
+use crate::report::wording::{record, sanity as words, times};
 use crate::report::{EarlyEnd, Tone};
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP, USAGE};
 use crate::runtime::output::{self, Terminal};
@@ -17,9 +17,9 @@ use drivebench_bench::recording::{
 use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use drivebench_diagnose::{Fitted, Rung};
 use drivebench_identify::noise::FloorSource;
-use drivebench_identify::{sanity, speed_from_angle, temperature};
+use drivebench_identify::{sanity, speed_from_angle, speed_lag, temperature};
 use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, MotorKey, Scenario, effect};
-use drivebench_model::sample::ParameterEstimate;
+use drivebench_model::sample::{ParameterEstimate, Sensors, SpeedLag};
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(
@@ -42,6 +42,18 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
     }
     loaded.run = speed_from_angle::complete(&loaded.run)
         .map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    let profiled = loaded.manifest.as_ref().filter(|manifest| !manifest.carried.is_empty());
+    if let Some(manifest) = profiled {
+        let found = speed_lag::by_angle(&loaded.run);
+        let stated = manifest.speed_filter_s.unwrap_or(0.0);
+        let stated = SpeedLag { delay_s: 0.0, filter_s: stated };
+        let speed = found.map_or(stated, |found| found.lag);
+        loaded.run.set_sensors(Sensors { speed, averages_current: manifest.averages_current });
+        if speed.total_s() > 0.0 {
+            let lag = record::speed_lag(speed, found.as_ref());
+            loaded.run.notes.push(format!("{}: {lag}", loaded.run.name));
+        }
+    }
     loaded.warnings.extend_from_slice(&loaded.run.notes[before..]);
     if let Some(dialect) = &loaded.dialect {
         terminal.message(dialect);

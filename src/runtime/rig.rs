@@ -536,6 +536,12 @@ impl Rig {
         for (channel, text) in offer::carried(&self.profile) {
             manifest.carried.insert(channel.key().to_owned(), text);
         }
+        if let Some(map) = &self.profile.registers {
+            let stated = map.sensors();
+            manifest.speed_filter_s =
+                Some(stated.speed.filter_s).filter(|filter_s| *filter_s > 0.0);
+            manifest.averages_current = stated.averages_current;
+        }
         for channel in Channel::ALL {
             if let Some(origin) = self.profile.signals.get(channel) {
                 manifest.set_origin(channel, origin);

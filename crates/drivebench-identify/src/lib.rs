@@ -15,7 +15,7 @@
 //! physical: limits of a parameter from the record; first_order: the lag from voltage to speed
 //! frequency_response: magnitude, phase and coherence; resonances with their damping
 //! repeat, added_inertia: estimates from several runs; drift: the change between two dates
-//! lost_rows: missing rows of a record
+//! lost_rows: missing rows of a record; speed_lag: how much later than the angle a measured speed is
 //! belief: whether signals and nameplates can be believed, for the live watch, the first pulse and all of the below
 //! sanity: plausibility of the data, checked first; claims: limits of the verdicts by the origin of the signals, applied last
 //! ```
@@ -47,6 +47,7 @@ pub mod sanity;
 pub mod scheme;
 pub mod scheme_1;
 pub mod speed_from_angle;
+pub mod speed_lag;
 pub mod stamps;
 pub mod start;
 pub mod step_response;

@@ -36,14 +36,15 @@ fn without_torn_rows(scenario: &Scenario, whole: &[bool]) -> Scenario {
         last = Some(row);
     }
     let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect::<Vec<f64>>();
+    let where_given =
+        |values: &[f64]| keep.iter().filter_map(|k| values.get(*k).copied()).collect();
     let index = |row: usize| keep.partition_point(|k| *k < row);
     Scenario {
         sample_time_s: pick(times),
         current_a: pick(&scenario.current_a),
         speed_rad_s: pick(&scenario.speed_rad_s),
-        time_half_width_s: (keep.iter())
-            .filter_map(|k| scenario.time_half_width_s.get(*k).copied())
-            .collect(),
+        voltage_v: where_given(&scenario.voltage_v),
+        time_half_width_s: where_given(&scenario.time_half_width_s),
         scored: index(scenario.scored.start)..index(scenario.scored.end),
         ..scenario.clone()
     }

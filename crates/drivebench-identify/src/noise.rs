@@ -89,8 +89,9 @@ impl NoiseFloor {
             (level > 0.0 || most > least).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
-        // The quantisation noise of a speed that is derived from a coarse angle vanishes at rest.
+        // The quantisation noise of a speed that is derived from a coarse angle, or restored from behind a filter, vanishes at rest.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
+        let derived = derived.max(scenario.speed_rounding_rad_s);
         let speed = floor(&scenario.speed_rad_s);
         let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
         let most = [&scenario.current_a, &scenario.speed_rad_s]

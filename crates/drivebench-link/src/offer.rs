@@ -69,6 +69,9 @@ fn properties(signal: &Signal) -> String {
         let not_given = || format!("{what} not given");
         parts.push(time_ms.map_or_else(not_given, |ms| format!("{what} {ms} ms")));
     }
+    if keys.since_last_read {
+        parts.push("mean since the last read".to_owned());
+    }
     if keys.trust == Some(Trust::Unverified) {
         parts.push("unverified".to_owned());
     }

@@ -1,8 +1,10 @@
 //! What is wrong with the rows and the input of a record.
 
 use drivebench_identify::lost_rows::LostRows;
+use drivebench_identify::speed_lag::FoundLag;
 use drivebench_identify::voltage_departure::Departure;
 use drivebench_model::plant::Scenario;
+use drivebench_model::sample::SpeedLag;
 
 /// The missing rows of a record: their count, position and treatment.
 pub fn lost_rows(found: &LostRows) -> String {
@@ -56,6 +58,24 @@ pub fn unconfirmed(scenario: &Scenario) -> Option<String> {
             lengths_s.iter().sum::<f64>()
         )
     })
+}
+
+/// The lag of the measured speed that is a part of every model of a run; `found` by its angle, else stated by the profile.
+pub fn speed_lag(lag: SpeedLag, found: Option<&FoundLag>) -> String {
+    let ms = |seconds: f64| 1e3 * seconds;
+    let of = found.map_or_else(
+        || format!("has a filter of {:.1} ms by the drive's profile", ms(lag.filter_s)),
+        |found| {
+            format!(
+                "is {:.1} \u{b1} {:.1} ms later than the measured angle: a filter of {:.1} ms and a delay of {:.1} ms",
+                ms(lag.total_s()),
+                ms(found.std_s),
+                ms(lag.filter_s),
+                ms(lag.delay_s)
+            )
+        },
+    );
+    format!("the measured speed {of}; this is a part of every model of the run")
 }
 
 /// A number with separators of thousands.

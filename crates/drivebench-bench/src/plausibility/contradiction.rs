@@ -2,7 +2,7 @@
 
 use super::{CHECK_CURRENT, CHECK_ENCODER, CHECK_SET_POINT, Plausibility, RepetitionStart};
 use crate::trip::{Trip, TripKind};
-use drivebench_identify::belief::{Plate, Range, Reading, Settings, Window};
+use drivebench_identify::belief::{Plate, Range, Reading, Row, Settings, Window};
 
 impl Plausibility {
     /// Faults by the voltage balance.
@@ -42,7 +42,7 @@ impl Plausibility {
     /// A current that contradicts both balances.
     fn by_factor(&mut self, plate: &Plate) -> Option<Trip> {
         let row = *self.history.rows().back()?;
-        if self.waived || row.limited || !row.exact {
+        if self.waived || row.limited || !row.exact || row.hides_acceleration() {
             return None;
         }
         let is_signed = self.proven.current_sign;
@@ -69,8 +69,9 @@ impl Plausibility {
 
     /// The shaft gains or loses speed against its current and speed, and the opposite sign of one would fit.
     fn accelerates_against_current(&self, window: &Window) -> bool {
-        let gain: f64 = self.latest(Settings::STAMPED_ROWS).map(|row| row.speed_change_rad_s).sum();
-        if gain.abs() < self.rest_rad_s() {
+        let latest = || self.latest(Settings::STAMPED_ROWS);
+        let gain: f64 = latest().map(|row| row.speed_change_rad_s).sum();
+        if gain.abs() < self.rest_rad_s() || latest().any(Row::hides_acceleration) {
             return false;
         }
         let ([volts, current, speed], is_signed) = (window.mean, self.proven.current_sign);

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
 use drivebench_identify::belief::{Range, Row, Scale, Settings};
-use drivebench_model::sample::{Channel, Command, Demand, Sample};
+use drivebench_model::sample::{Channel, Command, Demand, Sample, Sensors};
 
 /// Commands and samples kept: more than any latency in cycles.
 const KEPT: usize = 64;
@@ -21,6 +21,7 @@ pub(super) struct Observation {
     pub(super) angle_rad: Option<f64>,
     pub(super) voltage_v: Option<f64>,
     pub(super) limited: bool,
+    sensors: Sensors,
     pub(super) demand: Option<Demand>,
 }
 
@@ -147,6 +148,7 @@ impl History {
             angle_rad: sample.get(Channel::Angle),
             voltage_v: sample.get(Channel::Voltage),
             limited: sample.limited,
+            sensors: sample.sensors,
             demand,
         };
         let last = self.samples.back();
@@ -169,10 +171,12 @@ impl History {
         let angles = last.angle_rad.zip(now.angle_rad);
         (seconds > 0.0 && seconds < Settings::LONGEST_ROW_S).then(|| Row {
             seconds,
-            current_a: 0.5 * (from_a + to_a),
+            // A mean since the last read is that of the row.
+            current_a: if now.sensors.averages_current { to_a } else { 0.5 * (from_a + to_a) },
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),
             current_change_a: to_a - from_a,
             speed_change_rad_s: to_rad_s - from_rad_s,
+            speed_lead_rad_s: now.sensors.speed.filter_s * (to_rad_s - from_rad_s) / seconds,
             turned_rad: angles.map(|(from, to)| to - from),
             volts: self.volts(last, now, scale),
             exact: now.exact,

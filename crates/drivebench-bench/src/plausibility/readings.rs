@@ -240,9 +240,11 @@ impl Plausibility {
             }
             turned += row_rad;
             by_speed += row.speed_rad_s * row.seconds;
-            widest = widest.max(row.speed_change_rad_s.abs());
+            let hidden = row.speed_lead_rad_s.abs();
+            widest = widest.max(row.speed_change_rad_s.abs()).max(hidden);
             seconds += row.seconds;
-            let range = Range::around(row.speed_rad_s, 0.5 * row.speed_change_rad_s.abs());
+            let range = Range::around(row.speed_rad_s, 0.5 * row.speed_change_rad_s.abs())
+                .with(row.speed_rad_s + row.speed_lead_rad_s);
             speeds = Some(speeds.map_or(range, |speeds: Range| speeds.union(range)));
         }
         let rate = (turned - worst.1) / (seconds - worst.2);

@@ -45,6 +45,12 @@ pub struct Manifest {
     /// Column key to sign, side, basis, filter and update time by the drive's profile.
     #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub carried: BTreeMap<String, String>,
+    /// What the drive's profile states of the sensors: time constant of the filter of the speed, s, and whether a current is the
+    /// mean since the last read.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub speed_filter_s: Option<f64>,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub averages_current: bool,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
     /// Stop of the run: cause, times, requests; null where the output was never on.

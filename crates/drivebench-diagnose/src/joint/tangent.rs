@@ -559,9 +559,9 @@ pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
     }
     let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
     let paths = terms.iter().map(|terms| terms.path());
-    let path = paths.fold(Path::default(), Path::plus);
+    let path = paths.fold(Path::of(scenario.sensors), Path::plus);
     let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
-    lags_s <= 0.0 && terms.iter().all(|terms| terms.coupling().is_none())
+    lags_s <= 0.0 && !path.averages_current && terms.iter().all(|terms| terms.coupling().is_none())
 }
 
 /// Derivative by a parameter of an effect: of a coefficient for `unit` of it, of a shape by a difference over `step`, which is `over` in

@@ -14,6 +14,7 @@ mod bus;
 mod enable_sequence;
 mod identity;
 mod packets;
+mod processing;
 mod registers;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -24,6 +25,7 @@ use firmware_protocol::{Control, DriveCommand, Fault, State};
 pub use self::bus::ForeignBus;
 use self::enable_sequence::{EnableSequence, Turn};
 pub(crate) use self::packets::PacketReceiver;
+use self::processing::Processing;
 use super::config::LineConfig;
 use super::fault::FaultKind;
 use super::truth::MotorTruth;
@@ -84,6 +86,7 @@ pub struct ForeignDrive {
     ignored: Option<String>,
     watchdog_s: f64,
     kicked_s: f64,
+    processing: Processing,
     fault: Option<Cause>,
     field_lost: bool,
     field_lost_from_s: Option<f64>,
@@ -135,6 +138,7 @@ impl ForeignDrive {
             watchdog_s,
             as_set_s: watchdog_s,
             kicked_s: 0.0,
+            processing: Processing::of(&guise.map),
             fault: None,
             field_lost: false,
             field_lost_from_s: config.faults.field_lost_from_s,
@@ -266,6 +270,12 @@ impl ForeignDrive {
             self.supervise();
             self.drive_motor();
             self.soft.advance_to(next_s.min(time_s));
+            let now_s = self.soft.time_s();
+            if self.processing.is_needed() {
+                let sensed = self.soft.telemetry();
+                self.processing.follow(now_s, [sensed.current_a, sensed.speed_rad_s]);
+            }
+            self.processing.look(now_s, self.has_lost_host());
             self.apply_faults();
         }
     }

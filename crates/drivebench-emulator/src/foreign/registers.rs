@@ -230,6 +230,7 @@ impl ForeignDrive {
                 let factor = self.factor(&signal.numbers.scale_by);
                 let value = self.truth(signal);
                 let raw = (value - signal.numbers.offset) / (signal.numbers.scale * factor);
+                let raw = if signal.keys.truncated { raw.trunc() } else { raw };
                 match (signal.keys.quantity, signal.wraps_at) {
                     (Quantity::Clock, None) => {
                         count(raw, 2.0_f64.powi(i32::from(signal.location.layout.width())))
@@ -258,7 +259,8 @@ impl ForeignDrive {
         {
             word = with_condition(word, running, true);
         }
-        if self.has_lost_host()
+        let looks = self.map.watchdog.keys.auto_resume;
+        if (self.has_lost_host() || looks && self.processing.had_lost_host())
             && let Some(lost) = state("comm_loss")
         {
             word = (word & !lost.mask) | lost.pattern;
@@ -311,16 +313,22 @@ impl ForeignDrive {
         let unit = signal.numbers.unit;
         let si = signal.channel.map(|(_, si)| si);
         match signal.keys.quantity {
+            Quantity::Current if signal.keys.since_last_read => {
+                self.processing.mean_current_a(self.soft.time_s())
+            }
             Quantity::Current => sensed.current_a,
             Quantity::DrivingCurrent => {
                 // A duty of half a thousandth is reported as none.
                 let duty = sensed.voltage_cmd_v / limit_v;
                 let way = if duty.abs() < 5e-4 { sensed.speed_rad_s } else { duty };
-                sensed.current_a * way.signum()
+                self.processing.mean_current_a(self.soft.time_s()) * way.signum()
             }
             Quantity::Voltage => sensed.voltage_v,
             Quantity::BusVoltage => sensed.bus_v,
             Quantity::LineVoltage => sensed.bus_v / SQRT_2,
+            Quantity::ShaftSpeed if signal.keys.filter_ms.is_some() => {
+                in_unit(self.processing.speed_rad_s(), unit, si)
+            }
             Quantity::ShaftSpeed | Quantity::OutputSpeed => in_unit(sensed.speed_rad_s, unit, si),
             Quantity::Torque if unit == Unit::Percent => {
                 100.0 * sensed.current_a / nameplate.rated_current_a

@@ -28,6 +28,8 @@ pub struct Row {
     pub speed_rad_s: f64,
     pub current_change_a: f64,
     pub speed_change_rad_s: f64,
+    /// By which the speed of the shaft leads its reading behind a filter, rad/s: the filter's time constant times its slope.
+    pub speed_lead_rad_s: f64,
     /// Angle turned, rad, where it is measured.
     pub turned_rad: Option<f64>,
     /// Voltage that may have been in force, V; `None`: not known.
@@ -37,6 +39,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// A filter of the speed that is longer than the row hides when the shaft accelerates.
+    pub fn hides_acceleration(&self) -> bool {
+        self.speed_lead_rad_s.abs() > self.speed_change_rad_s.abs()
+    }
+
     /// Current and speed of its second sample, A and rad/s.
     pub fn ends(&self) -> (f64, f64) {
         (
@@ -95,11 +102,14 @@ impl Plate {
             let (current_v, speed_v) =
                 (self.current_v(row), self.back_emf_v_s_per_rad * row.speed_rad_s);
             let (current_by, speed_by) = self.uncertainty_v(row);
+            let lead_v = self.back_emf_v_s_per_rad * row.speed_lead_rad_s;
             Some(Window {
                 volts,
                 current: Range::around(current_v, current_by),
-                speed: Range::around(speed_v, speed_by),
-                mean: [volts.middle(), current_v, speed_v],
+                // A filter may be another than is stated: with and without it.
+                speed: Range::around(speed_v, speed_by)
+                    .union(Range::around(speed_v + lead_v, speed_by)),
+                mean: [volts.middle(), current_v, speed_v + lead_v],
             })
         };
         let terms: Vec<Window> = rows.map(terms).collect::<Option<_>>()?;

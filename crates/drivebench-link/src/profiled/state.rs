@@ -151,6 +151,7 @@ impl<B: CellBus> ProfiledLink<B> {
         sample.host_time_s = Some(self.bus.now_s());
         sample.state = Some(self.state());
         sample.limited = self.points.limited;
+        sample.sensors = self.map.sensors();
         sample.field_a = self
             .map
             .of_quantity(Quantity::FieldCurrent)

@@ -11,7 +11,7 @@ use crate::cell_bus::{CellTable, Put, ReadRequest};
 use crate::framing::{Grammar, PROOF_WRITE};
 use crate::settings::{Protocol, Trust};
 use drivebench_model::plant::effect::Tree;
-use drivebench_model::sample::Channel;
+use drivebench_model::sample::{Channel, Sensors, SpeedLag};
 use drivebench_model::units::rad_s_from_rpm;
 
 /// What turns an electrical frequency or an encoder's counts into those of the shaft.
@@ -128,7 +128,10 @@ impl Signal {
         let Some(factor) = factor else {
             return Reading::Unread;
         };
-        let value = self.numbers.value(layout.number(pattern), factor);
+        let raw = layout.number(pattern);
+        // What is cut off is half of a step on average, and as much of either sign at zero.
+        let cut = if self.keys.truncated && raw != 0.0 { 0.5 * raw.signum() } else { 0.0 };
+        let value = self.numbers.value(raw + cut, factor);
         match self.keys.valid {
             _ if !value.is_finite() => Reading::NotANumber,
             Some([low, high]) if !(low..=high).contains(&value) => Reading::Outside(value),
@@ -383,6 +386,16 @@ impl RegisterMap {
     pub fn of_channel(&self, channel: Channel) -> Option<&Signal> {
         let is_it = |signal: &&Signal| signal.channel.is_some_and(|(has, _)| has == channel);
         self.signals.iter().find(is_it)
+    }
+
+    /// What is stated of the sensors.
+    pub fn sensors(&self) -> Sensors {
+        let keys = |channel| self.of_channel(channel).map(|signal| &signal.keys);
+        let filter_ms = keys(Channel::Speed).and_then(|keys| keys.filter_ms).unwrap_or(0.0);
+        Sensors {
+            speed: SpeedLag { delay_s: 0.0, filter_s: 1e-3 * filter_ms },
+            averages_current: keys(Channel::Current).is_some_and(|keys| keys.since_last_read),
+        }
     }
 
     pub fn of_quantity(&self, quantity: Quantity) -> Option<&Signal> {

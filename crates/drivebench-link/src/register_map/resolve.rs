@@ -330,7 +330,7 @@ impl Reader<'_> {
             DerivedKeys::Whole(whole) => whole.clone(),
             DerivedKeys::Expression(value) => {
                 let (value, side) = (value.clone(), None);
-                WholeDerived { value, origin: None, side, filter_ms: None }
+                WholeDerived { value, origin: None, side, filter_ms: None, since_last_read: false }
             }
         };
         let part = self.part(spanned.span(), format!("derived {name}: "));

@@ -154,6 +154,12 @@ pub struct SignalKeys {
     pub origin: Option<Origin>,
     pub signed: Option<bool>,
     pub filter_ms: Option<f64>,
+    /// It is the mean since it was last read.
+    #[serde(default)]
+    pub since_last_read: bool,
+    /// Its number was cut towards zero, not rounded.
+    #[serde(default)]
+    pub truncated: bool,
     pub update_ms: Option<f64>,
     pub basis: Option<Basis>,
     pub side: Option<Side>,
@@ -193,6 +199,8 @@ pub(super) struct WholeDerived {
     pub(super) origin: Option<Origin>,
     pub(super) side: Option<Side>,
     pub(super) filter_ms: Option<f64>,
+    #[serde(default)]
+    pub(super) since_last_read: bool,
 }
 
 impl SignalKeys {
@@ -225,6 +233,8 @@ impl SignalKeys {
             origin: Some(whole.origin.unwrap_or(Origin::Derived)),
             signed: None,
             filter_ms: whole.filter_ms,
+            since_last_read: whole.since_last_read,
+            truncated: false,
             update_ms: None,
             basis: None,
             side: whole.side,

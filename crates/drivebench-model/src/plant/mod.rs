@@ -16,6 +16,7 @@ mod model;
 mod model_file;
 mod motor;
 mod motor_range;
+mod restored_speed;
 mod run_scales;
 mod sampled_edges;
 mod scenario;

@@ -8,6 +8,7 @@ use thiserror::Error;
 
 use super::commanded_current;
 use super::limited::{LimitReached, applied};
+use super::restored_speed;
 use super::run_scales::RunScales;
 use super::sampled_edges;
 use super::shaft_angle::continuous;
@@ -15,7 +16,7 @@ use super::unconfirmed;
 use super::unknown_input::{self, Rows, UnknownInput};
 use crate::numerics::count::whole;
 use crate::numerics::statistics::{mean, mean_step, median_step, variance};
-use crate::sample::{Channel, Origin, Run};
+use crate::sample::{Channel, Origin, Run, Sensors};
 use crate::signal::{self, Point};
 
 /// Input of the model.
@@ -75,7 +76,7 @@ pub struct Scenario {
     pub current_a: Vec<f64>,
     /// Measured voltage at the sample times of a run that a commanded current drives, NaN where missing; else empty.
     pub voltage_v: Vec<f64>,
-    /// Instants at which a commanded current steps, in the input; else empty.
+    /// Instants at which a commanded current steps, in the input, and the ends of gaps in its speed; else empty.
     pub current_steps_s: Vec<f64>,
     /// By which the speed shows a change of the commanded current after its stamp, s: already in the inputs and in `voltage_v`.
     pub command_lag_s: f64,
@@ -85,6 +86,9 @@ pub struct Scenario {
     pub angle: Vec<(f64, f64)>,
     /// Half-widths of the stamps of the samples, s, zero for a stamp of the drive. Empty: all are stamps of the drive.
     pub time_half_width_s: Vec<f64>,
+    pub sensors: Sensors,
+    /// Standard deviation by the resolution of the sensor of a speed that was restored from behind a filter, rad/s; else zero.
+    pub speed_rounding_rad_s: f64,
     /// Intervals in which rows with the voltage were lost, a sampled voltage changed or a command was not confirmed, in order; `events` have its
     /// estimate there. Empty in a whole record whose changes are at their stamps.
     pub unknown_input: Vec<UnknownInput>,
@@ -130,6 +134,8 @@ impl Scenario {
             speed_rad_s: Vec::new(),
             angle: Vec::new(),
             time_half_width_s: Vec::new(),
+            sensors: Sensors::default(),
+            speed_rounding_rad_s: 0.0,
             unknown_input: Vec::new(),
             limits: Vec::new(),
             scales: RunScales::REFERENCE,
@@ -140,6 +146,9 @@ impl Scenario {
     pub fn from_run(run: &Run) -> Result<Self, ScenarioError> {
         let (input, channel) =
             input_of(run).ok_or_else(|| ScenarioError::NoInput { run: run.name.clone() })?;
+        let restored = if input == Input::Voltage { None } else { restored_speed::restored(run) };
+        let (run, speed_rounding_rad_s) =
+            restored.as_ref().map_or((run, 0.0), |own| (&own.run, own.rounding_rad_s));
         let mut events: Vec<Point> = run.points(channel).collect();
         let (mut limits, mut steps_s, mut lag_s) = (Vec::new(), Vec::new(), 0.0);
         let mut unconfirmed = Vec::new();
@@ -156,6 +165,8 @@ impl Scenario {
                 events = commanded_current::applied(run, &steps);
                 events.iter_mut().skip(1).for_each(|event| event.0 += lag_s);
                 steps_s = steps.iter().skip(1).map(|step| step.0 + lag_s).collect();
+                steps_s.extend(restored.iter().flat_map(|own| &own.gaps_s));
+                steps_s.sort_by(f64::total_cmp);
             }
             _ => {}
         }
@@ -195,6 +206,8 @@ impl Scenario {
                 cells.map(half_width_s).collect()
             }),
             limits,
+            sensors: run.sensors(),
+            speed_rounding_rad_s,
             ..Self::planned(run.name.clone(), input, channel, events, times)
         };
         if channel == Channel::CurrentCmd {
@@ -463,6 +476,8 @@ impl Scenario {
             current_steps_s: self.current_steps_s.clone(),
             speed_rad_s: part(&self.speed_rad_s),
             time_half_width_s: part(&self.time_half_width_s),
+            sensors: self.sensors,
+            speed_rounding_rad_s: self.speed_rounding_rad_s,
             unknown_input,
             limits,
             part_of: self.within(),
@@ -540,6 +555,8 @@ impl Scenario {
             },
             speed_rad_s: joined(&self.speed_rad_s, &later.speed_rad_s),
             time_half_width_s,
+            sensors: self.sensors,
+            speed_rounding_rad_s: self.speed_rounding_rad_s,
             unknown_input: holes.chain([between]).chain(later_holes).collect(),
             scales: RunScales {
                 length_s: self.scales.length_s + later.scales.length_s,

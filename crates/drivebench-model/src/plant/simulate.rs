@@ -219,6 +219,7 @@ impl Plant {
         let holes = scenario.unknown_input.iter();
         let restarts = holes.filter_map(|hole| Some((hole.to_s, hole.restart?)));
         let mut restarts = restarts.peekable();
+        self.equations.set_sensors(scenario.sensors);
         let late_s = self.equations.path.command_delay_s;
         // A delayed command of a hole acts until after it: up to then the state is unknown.
         let unknown = restarts.clone().filter(|_| late_s > 0.0);
@@ -276,6 +277,9 @@ impl Plant {
             let readings = self.readings(&state);
             out.current_a.push(readings[0]);
             out.speed_rad_s.push(readings[1]);
+            if let Some(sensors) = &mut self.sensors {
+                sensors.begin_mean();
+            }
             if let Some(change) = correct(sample, readings, &state) {
                 self.correct(&mut state, change.current_a, change.speed_rad_s);
                 self.equations.load_n_m = change.load_n_m;

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::Channel;
+use super::{Channel, Sensors};
 
 /// Validity of a measured value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
@@ -88,6 +88,8 @@ pub struct Sample {
     pub limited: bool,
     /// The command in it was not confirmed by the drive: it acted at an unknown time before the next one, if at all.
     pub is_unconfirmed: bool,
+    /// What the drive's profile states of the sensors.
+    pub sensors: Sensors,
     /// Field current of a motor with a separate field, where the drive's profile maps it, A.
     pub field_a: Option<f64>,
     /// The last command that the drive applied, and when.

@@ -20,4 +20,4 @@ pub use channel::Channel;
 pub use command::{Command, Demand};
 pub use estimate::{ParameterEstimate, Reason, TWO_SIDED_95, Verdict};
 pub use instant::{Applied, DriveState, Hindrance, Quality, Sample};
-pub use run::{LARGEST, Origin, Run, RunError, Side};
+pub use run::{LARGEST, Origin, Run, RunError, Sensors, Side, SpeedLag};

@@ -57,6 +57,28 @@ impl Side {
     }
 }
 
+/// What is known of the sensors of a run: a part of every model of it.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sensors {
+    pub speed: SpeedLag,
+    /// A measured current is the mean since the sample before.
+    pub averages_current: bool,
+}
+
+/// How much later than the shaft's a measured speed is: the delay and the time constant of the first-order filter of its sensor, s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SpeedLag {
+    pub delay_s: f64,
+    pub filter_s: f64,
+}
+
+impl SpeedLag {
+    /// Of a slow change.
+    pub fn total_s(self) -> f64 {
+        self.delay_s + self.filter_s
+    }
+}
+
 /// Largest magnitude of a time or a value of any bench: a larger one is a damaged file or a wrong unit.
 pub const LARGEST: f64 = 1e12;
 
@@ -89,6 +111,7 @@ pub struct Run {
     limited_rows: Vec<usize>,
     /// Rows, in order, with a command that the drive did not confirm.
     unconfirmed_rows: Vec<usize>,
+    sensors: Sensors,
     /// Rows that were torn or unreadable and left out.
     pub rows_dropped: usize,
     /// Sentences for the reader: runs of fit and hold-out, derived columns.
@@ -151,6 +174,15 @@ impl Run {
     /// Rows at which a limit of the drive was active, so that the voltage was not the commanded one.
     pub fn limited_rows(&self) -> &[usize] {
         &self.limited_rows
+    }
+
+    pub const fn set_sensors(&mut self, sensors: Sensors) {
+        self.sensors = sensors;
+    }
+
+    /// Without a lag where none is known.
+    pub const fn sensors(&self) -> Sensors {
+        self.sensors
     }
 
     /// Sets the rows, in order, with a command that the drive did not confirm.

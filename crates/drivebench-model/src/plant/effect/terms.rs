@@ -4,6 +4,7 @@ use super::ShaftAngle;
 use crate::plant::motor::{Motor, MotorKey};
 use crate::plant::run_scales::RunScales;
 use crate::plant::scenario::Scenario;
+use crate::sample::Sensors;
 
 /// The instant at which terms are evaluated, and the motor that they act on.
 #[derive(Clone, Copy, Debug)]
@@ -234,12 +235,24 @@ pub struct Path {
     /// Time constants of first-order filters in the measurement.
     pub speed_filter_s: f64,
     pub current_filter_s: f64,
+    /// The measured current is the mean since the sample before.
+    pub averages_current: bool,
     /// Offsets of the sensors.
     pub current_offset_a: f64,
     pub speed_offset_rad_s: f64,
 }
 
 impl Path {
+    /// What is known of the sensors of a run.
+    pub fn of(sensors: Sensors) -> Self {
+        Self {
+            speed_delay_s: sensors.speed.delay_s,
+            speed_filter_s: sensors.speed.filter_s,
+            averages_current: sensors.averages_current,
+            ..Self::default()
+        }
+    }
+
     /// Both paths in series.
     #[must_use]
     pub fn plus(self, other: Self) -> Self {
@@ -250,6 +263,7 @@ impl Path {
             speed_delay_s: self.speed_delay_s + other.speed_delay_s,
             speed_filter_s: self.speed_filter_s + other.speed_filter_s,
             current_filter_s: self.current_filter_s + other.current_filter_s,
+            averages_current: self.averages_current || other.averages_current,
             current_offset_a: self.current_offset_a + other.current_offset_a,
             speed_offset_rad_s: self.speed_offset_rad_s + other.speed_offset_rad_s,
         }
@@ -270,6 +284,7 @@ impl Path {
         ]
         .iter()
         .all(|value| *value == 0.0)
+            && !self.averages_current
     }
 }
 

@@ -6,6 +6,7 @@ use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
 use crate::plant::run_scales::RunScales;
 use crate::plant::scenario::Input;
+use crate::sample::Sensors;
 
 /// States that all effects of one model may have together.
 pub(super) const MOST_STATES: usize = 6;
@@ -104,6 +105,7 @@ pub(super) struct Equations {
     terms: Vec<Entry>,
     states: usize,
     pub(super) path: Path,
+    own_path: Path,
     pub(super) coupling: Option<Coupling>,
     pub(super) needs_angle: bool,
     /// Load torque in addition to the model's, against positive motion.
@@ -162,6 +164,7 @@ impl Equations {
         Ok(Self {
             motor,
             path,
+            own_path: path,
             coupling,
             needs_angle: (model.effects.iter()).any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
@@ -181,6 +184,11 @@ impl Equations {
     /// Sets the supply of the run that is simulated next.
     pub(super) const fn set_run(&mut self, supply_v: f64, scales: &RunScales) {
         self.motor = self.motor.with(supply_v, scales);
+    }
+
+    /// The path of the model, with what is known of the run's sensors.
+    pub(super) fn set_sensors(&mut self, sensors: Sensors) {
+        self.path = self.own_path.plus(Path::of(sensors));
     }
 
     pub(super) fn is_linear(&self) -> bool {

@@ -21,12 +21,20 @@ pub(super) struct Sensors {
     /// The delayed motion, and the filters' outputs, at the latest instant.
     delayed: Reading,
     filtered: Reading,
+    /// Integral of the filtered current since the last sample, A.s, and the time, s.
+    since_sample: (f64, f64),
 }
 
 impl Sensors {
     /// Sensors in the steady state of `first`.
     pub(super) fn new(path: Path, first: Reading) -> Self {
-        Self { path, past: VecDeque::from([first]), delayed: first, filtered: first }
+        Self {
+            path,
+            past: VecDeque::from([first]),
+            delayed: first,
+            filtered: first,
+            since_sample: (0.0, 0.0),
+        }
     }
 
     pub(super) fn follow(&mut self, now: Reading) {
@@ -39,17 +47,29 @@ impl Sensors {
             let input = (of(&self.delayed), of(&delayed));
             filter(of(&self.filtered), input, interval_s, time_constant_s)
         };
+        let before_a = self.filtered.current_a;
         self.filtered = Reading {
             time_s: now.time_s,
             current_a: filtered(|it| it.current_a, self.path.current_filter_s),
             speed_rad_s: filtered(|it| it.speed_rad_s, self.path.speed_filter_s),
         };
         self.delayed = delayed;
+        let (integral, seconds) = &mut self.since_sample;
+        *integral += 0.5 * interval_s * (before_a + self.filtered.current_a);
+        *seconds += interval_s;
+    }
+
+    /// A sample was read.
+    pub(super) const fn begin_mean(&mut self) {
+        self.since_sample = (0.0, 0.0);
     }
 
     pub(super) fn read(&self) -> [f64; 2] {
+        let (integral, seconds) = self.since_sample;
+        let averages = self.path.averages_current && seconds > 0.0;
+        let current_a = if averages { integral / seconds } else { self.filtered.current_a };
         [
-            self.filtered.current_a + self.path.current_offset_a,
+            current_a + self.path.current_offset_a,
             self.filtered.speed_rad_s + self.path.speed_offset_rad_s,
         ]
     }
