@@ -326,8 +326,13 @@ impl Escalation {
         let failure = found.as_ref().err().cloned();
         let is_sweep = kind == StageKind::Sweep;
         if let Ok(found) = found {
-            // A sweep covers more of the motor's range than any step and is preferred to a more accurate estimate of a step.
+            // A sweep covers more of the motor's range than any step and is preferred to a more accurate estimate of a step, if it is
+            // usable: behind the filters of a drive its slow current says little.
+            let is_usable = |own: &Turned| own.worst() <= SETTINGS.usable;
             let is_better = self.best.as_ref().is_none_or(|(of_sweep, best)| {
+                if is_usable(&found) != is_usable(best) {
+                    return is_usable(&found);
+                }
                 let is_sharper = found.worst() < best.worst();
                 is_sweep && !of_sweep || is_sharper && is_sweep == *of_sweep
             });
