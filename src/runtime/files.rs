@@ -48,7 +48,11 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
         let stated = manifest.speed_filter_s.unwrap_or(0.0);
         let stated = SpeedLag { delay_s: 0.0, filter_s: stated };
         let speed = found.map_or(stated, |found| found.lag);
-        loaded.run.set_sensors(Sensors { speed, averages_current: manifest.averages_current });
+        loaded.run.set_sensors(Sensors {
+            speed,
+            averages_current: manifest.averages_current,
+            ..Sensors::default()
+        });
         if speed.total_s() > 0.0 {
             let lag = record::speed_lag(speed, found.as_ref());
             loaded.run.notes.push(format!("{}: {lag}", loaded.run.name));

@@ -8,7 +8,7 @@ use super::joint::answer::Inference;
 use super::ladder::{AS_GOOD, Bench, SIGNIFICANT_SIGMAS, Standing};
 use super::limits::WhyOpen;
 use super::residual::FEWEST_SAMPLES;
-use super::score::{SETTLED_BELOW_RATIO, Score};
+use super::score::Score;
 use super::versus::{Better, ByBlocks};
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::findings;
@@ -16,6 +16,9 @@ use drivebench_model::plant::{ActiveEffect, MotorKey, ParameterRole, Scenario, e
 
 /// Largest fall of a deviance by chance, with a free size at a free time.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
+
+/// Error in units of the noise from which much is left.
+const MUCH_RATIO: f64 = 3.0;
 
 /// Ratio of the errors before and after from which a fall is significant without the block test, a third of the squares; and
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
@@ -228,7 +231,7 @@ fn without_weight(
     let effect = *named.last()?;
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
-    let much_is_left = floor.expected() > 0.0 && last > SETTLED_BELOW_RATIO * floor.expected();
+    let much_is_left = floor.expected() > 0.0 && last > MUCH_RATIO * floor.expected();
     let is_valid = inference.why_open().is_none() && inference.is_nearly_white();
     if is_valid && !much_is_left || floor.is_explained_in_part(base, last) {
         return None;

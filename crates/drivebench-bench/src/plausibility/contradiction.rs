@@ -199,7 +199,8 @@ impl Plausibility {
         }
         self.symptoms.frozen_windows += 1;
         // A drive that does not stamp its samples may have read the speed some cycles ago.
-        let needed = if self.is_exact() { 1 } else { self.cycles() };
+        let needed =
+            if self.is_exact() { 1 } else { self.cycles() } + self.history.speed_lag_rows();
         (self.symptoms.frozen_windows >= needed)
             .then(|| self.misread(TripKind::EncoderFrozen, plate, window))
     }

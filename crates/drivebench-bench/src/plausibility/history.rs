@@ -4,6 +4,7 @@ use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
 use drivebench_identify::belief::{Range, Row, Scale, Settings};
+use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Channel, Command, Demand, Sample, Sensors};
 
 /// Commands and samples kept: more than any latency in cycles.
@@ -56,6 +57,17 @@ impl History {
         let rows = self.rows.len();
         let all_s: f64 = self.rows.iter().map(|row| row.seconds).sum();
         (rows > 0).then(|| all_s / rows as f64)
+    }
+
+    /// Rows by which the speed may show a change later than the current does: the filter of its sensor, three rows where nobody has
+    /// stated one, as of an observer that works at the rate of the samples.
+    pub(super) fn speed_lag_rows(&self) -> usize {
+        let sensors = self.samples.back().map_or(Sensors::default(), |last| last.sensors);
+        if sensors.has_unknown_filter {
+            return 3;
+        }
+        let period_s = self.period_s().unwrap_or(f64::INFINITY);
+        whole((2.0 * sensors.speed.filter_s / period_s).ceil())
     }
 
     /// Demands that may have been in force from `lag` commands before the first sample's until the last one's.
@@ -176,7 +188,13 @@ impl History {
             speed_rad_s: 0.5 * (from_rad_s + to_rad_s),
             current_change_a: to_a - from_a,
             speed_change_rad_s: to_rad_s - from_rad_s,
-            speed_lead_rad_s: now.sensors.speed.filter_s * (to_rad_s - from_rad_s) / seconds,
+            // A filter that is not stated may be as long as a row.
+            speed_lead_rad_s: (to_rad_s - from_rad_s)
+                * if now.sensors.has_unknown_filter {
+                    1.0
+                } else {
+                    now.sensors.speed.filter_s / seconds
+                },
             turned_rad: angles.map(|(from, to)| to - from),
             volts: self.volts(last, now, scale),
             exact: now.exact,

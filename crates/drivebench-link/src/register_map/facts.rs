@@ -391,9 +391,10 @@ impl RegisterMap {
     /// What is stated of the sensors.
     pub fn sensors(&self) -> Sensors {
         let keys = |channel| self.of_channel(channel).map(|signal| &signal.keys);
-        let filter_ms = keys(Channel::Speed).and_then(|keys| keys.filter_ms).unwrap_or(0.0);
+        let filter_ms = keys(Channel::Speed).and_then(|keys| keys.filter_ms);
         Sensors {
-            speed: SpeedLag { delay_s: 0.0, filter_s: 1e-3 * filter_ms },
+            speed: SpeedLag { delay_s: 0.0, filter_s: 1e-3 * filter_ms.unwrap_or(0.0) },
+            has_unknown_filter: filter_ms.is_none(),
             averages_current: keys(Channel::Current).is_some_and(|keys| keys.since_last_read),
         }
     }

@@ -144,7 +144,7 @@ mod tests {
         let mut run = run_of("r", times, columns);
         run.set_sensors(Sensors {
             speed: SpeedLag { delay_s: 0.0, filter_s },
-            averages_current: false,
+            ..Sensors::default()
         });
         (run, truth)
     }

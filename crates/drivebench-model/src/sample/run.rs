@@ -61,6 +61,8 @@ impl Side {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sensors {
     pub speed: SpeedLag,
+    /// Nobody has stated the filter of the speed, and none is known.
+    pub has_unknown_filter: bool,
     /// A measured current is the mean since the sample before.
     pub averages_current: bool,
 }
