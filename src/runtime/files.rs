@@ -53,7 +53,15 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
             averages_current: manifest.averages_current,
             ..Sensors::default()
         });
-        if speed.total_s() > 0.0 {
+        if found.is_none()
+            && speed.total_s() > 0.0
+            && speed_lag::is_supported(&loaded.run) == Some(false)
+        {
+            let without = record::no_speed_lag(speed);
+            loaded.run.notes.push(format!("{}: {without}", loaded.run.name));
+            let sensors = Sensors { speed: SpeedLag::default(), ..loaded.run.sensors() };
+            loaded.run.set_sensors(sensors);
+        } else if speed.total_s() > 0.0 {
             let lag = record::speed_lag(speed, found.as_ref());
             loaded.run.notes.push(format!("{}: {lag}", loaded.run.name));
         }

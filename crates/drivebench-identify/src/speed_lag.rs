@@ -10,7 +10,11 @@
 
 use drivebench_model::numerics::least_squares::fit_normal;
 use drivebench_model::numerics::statistics::{largest, median_step};
-use drivebench_model::sample::{Channel, Run, SpeedLag};
+use drivebench_model::plant::{Input, Model, Motor, Scenario};
+use drivebench_model::sample::{Channel, Run, Sensors, SpeedLag};
+
+use crate::noise::NoiseFloor;
+use crate::{output_error, start};
 
 /// Samples of one row of the regression: over more, an error of the speed's scale grows; over fewer, the last count of the angle does.
 const SAMPLES: usize = 10;
@@ -84,10 +88,25 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
     Some(FoundLag { lag: SpeedLag { delay_s: total_s - filter_s, filter_s }, std_s })
 }
 
+/// Whether the five-parameter model follows a run that a voltage drives no worse with the known lag of its speed than without; `None`
+/// where it cannot be fitted.
+pub fn is_supported(run: &Run) -> Option<bool> {
+    let error = |run: &Run| {
+        let scenario = Scenario::from_run(run).ok().filter(|own| own.input == Input::Voltage)?;
+        let start = start::complete(&Model::baseline(Motor::new("lag")), &scenario).ok()?;
+        let noise = NoiseFloor::from_spread(&scenario);
+        Some(output_error::fit(&[start], &scenario, &noise).ok()?.nrms)
+    };
+    let mut without = run.clone();
+    without.set_sensors(Sensors { speed: SpeedLag::default(), ..run.sensors() });
+    Some(error(run)? <= error(&without)?)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use drivebench_model::plant::testing::run_of;
+    use drivebench_model::plant::{State, testing::record};
     use drivebench_model::sample::Origin;
 
     /// A shaft between steps of its speed, of a time constant of 20 ms, read at 100 Hz as counts and by a speed of that lag.
@@ -136,6 +155,34 @@ mod tests {
                 let filter_off_s = (found.lag.filter_s - filter_s).abs();
                 assert!(filter_off_s < 0.15 * total_s, "{lag:?} {scale}: {found:?}");
             }
+        }
+    }
+
+    #[test]
+    fn a_stated_filter_that_the_record_does_not_have_is_not_supported() {
+        use drivebench_model::plant::Plant;
+        let stated =
+            Sensors { speed: SpeedLag { delay_s: 0.0, filter_s: 0.066 }, ..Sensors::default() };
+        let events = vec![(0.0, 0.0), (0.3, 40.0), (0.9, -30.0), (1.5, 60.0), (2.1, 20.0)];
+        let model = Model::baseline(Motor::zk_22fc());
+        let mut scenario = record(&model, events.clone(), 0.01, 3.0, 1);
+        for has_filter in [false, true] {
+            scenario.sensors = if has_filter { stated } else { Sensors::default() };
+            let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+            let found = plant.simulate(&scenario, State::default());
+            let held = |time_s: &f64| drivebench_model::signal::held(&events, *time_s).unwrap();
+            let columns = [
+                (
+                    Channel::VoltageCmd,
+                    scenario.sample_time_s.iter().map(held).collect(),
+                    Origin::Commanded,
+                ),
+                (Channel::Current, found.current_a, Origin::Measured),
+                (Channel::Speed, found.speed_rad_s, Origin::Measured),
+            ];
+            let mut run = run_of("r", scenario.sample_time_s.clone(), columns);
+            run.set_sensors(stated);
+            assert_eq!(is_supported(&run), Some(has_filter));
         }
     }
 

@@ -78,6 +78,14 @@ pub fn speed_lag(lag: SpeedLag, found: Option<&FoundLag>) -> String {
     format!("the measured speed {of}; this is a part of every model of the run")
 }
 
+/// A stated filter that a record does not support.
+pub fn no_speed_lag(stated: SpeedLag) -> String {
+    format!(
+        "the drive's profile states a filter of {:.1} ms for the speed, and the model follows the run better without it: it is left out",
+        1e3 * stated.filter_s
+    )
+}
+
 /// A number with separators of thousands.
 fn counted(number: usize) -> String {
     let digits = number.to_string();
