@@ -18,8 +18,9 @@ use drivebench_bench::{BenchFile, OnlineResult, Outcome, RunSummary};
 use drivebench_diagnose::{Fitted, Rung};
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::{sanity, speed_from_angle, speed_lag, temperature};
+use drivebench_model::numerics::statistics::median;
 use drivebench_model::plant::{FileHistory, FittedValue, ModelFile, MotorKey, Scenario, effect};
-use drivebench_model::sample::{ParameterEstimate, Sensors, SpeedLag};
+use drivebench_model::sample::{Channel, ParameterEstimate, Run, Sensors, SpeedLag};
 
 /// Opens a run, prints its warnings, and derives the speed from the angle where there is none.
 pub(crate) fn load(
@@ -42,29 +43,11 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
     }
     loaded.run = speed_from_angle::complete(&loaded.run)
         .map_err(|error| Failure::new(USAGE, error.to_string()))?;
-    let profiled = loaded.manifest.as_ref().filter(|manifest| !manifest.carried.is_empty());
-    if let Some(manifest) = profiled {
-        let found = speed_lag::by_angle(&loaded.run);
-        let stated = manifest.speed_filter_s.unwrap_or(0.0);
-        let stated = SpeedLag { delay_s: 0.0, filter_s: stated };
-        let speed = found.map_or(stated, |found| found.lag);
-        loaded.run.set_sensors(Sensors {
-            speed,
-            averages_current: manifest.averages_current,
-            ..Sensors::default()
-        });
-        if found.is_none()
-            && speed.total_s() > 0.0
-            && speed_lag::is_supported(&loaded.run) == Some(false)
-        {
-            let without = record::no_speed_lag(speed);
-            loaded.run.notes.push(format!("{}: {without}", loaded.run.name));
-            let sensors = Sensors { speed: SpeedLag::default(), ..loaded.run.sensors() };
-            loaded.run.set_sensors(sensors);
-        } else if speed.total_s() > 0.0 {
-            let lag = record::speed_lag(speed, found.as_ref());
-            loaded.run.notes.push(format!("{}: {lag}", loaded.run.name));
-        }
+    if let Some(manifest) = loaded.manifest.as_ref().filter(|own| !own.carried.is_empty()) {
+        let known = known_sensors(&loaded.run, manifest);
+        loaded.run = known.0;
+        let name = loaded.run.name.clone();
+        loaded.run.notes.extend(known.1.into_iter().map(|text| format!("{name}: {text}")));
     }
     loaded.warnings.extend_from_slice(&loaded.run.notes[before..]);
     if let Some(dialect) = &loaded.dialect {
@@ -72,6 +55,39 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
     }
     terminal.warn(&loaded.warnings);
     Ok(loaded)
+}
+
+/// A run of a drive with a profile, with what is known of its sensors and its ramp, and sentences on it: measured against the angle,
+/// else stated by the profile and supported by the record.
+fn known_sensors(run: &Run, manifest: &Manifest) -> (Run, Vec<String>) {
+    let mut texts = Vec::new();
+    let mut run = run.clone();
+    let averages_current = manifest.averages_current;
+    let found = speed_lag::by_angle(&run);
+    let stated = SpeedLag { delay_s: 0.0, filter_s: manifest.speed_filter_s.unwrap_or(0.0) };
+    let speed = found.map_or(stated, |found| found.lag);
+    run.set_sensors(Sensors { speed, averages_current, ..Sensors::default() });
+    if speed.total_s() > 0.0 {
+        let without = Sensors { averages_current, ..Sensors::default() };
+        if found.is_none() && speed_lag::is_supported(&run, without) == Some(false) {
+            texts.push(record::no_speed_lag(speed));
+            run.set_sensors(without);
+        } else {
+            texts.push(record::speed_lag(speed, found.as_ref()));
+        }
+    }
+    let supply_v: Vec<f64> = run.points(Channel::Bus).map(|point| point.1).collect();
+    if let (Some(ramp_per_s), false) = (manifest.duty_ramp_per_s, supply_v.is_empty()) {
+        let without = run.sensors();
+        let ramp_v_per_s = ramp_per_s * median(&supply_v);
+        run.set_sensors(Sensors { ramp_v_per_s, ..without });
+        let is_supported = speed_lag::is_supported(&run, without) != Some(false);
+        if !is_supported {
+            run.set_sensors(without);
+        }
+        texts.push(record::ramp(ramp_v_per_s, is_supported));
+    }
+    (run, texts)
 }
 
 pub(crate) fn read_model(path: &Path) -> Result<ModelFile, Failure> {

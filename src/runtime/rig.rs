@@ -541,6 +541,7 @@ impl Rig {
             manifest.speed_filter_s =
                 Some(stated.speed.filter_s).filter(|filter_s| *filter_s > 0.0);
             manifest.averages_current = stated.averages_current;
+            manifest.duty_ramp_per_s = map.duty_ramp_per_s();
         }
         for channel in Channel::ALL {
             if let Some(origin) = self.profile.signals.get(channel) {

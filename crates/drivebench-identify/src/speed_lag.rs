@@ -88,18 +88,18 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
     Some(FoundLag { lag: SpeedLag { delay_s: total_s - filter_s, filter_s }, std_s })
 }
 
-/// Whether the five-parameter model follows a run that a voltage drives no worse with the known lag of its speed than without; `None`
-/// where it cannot be fitted.
-pub fn is_supported(run: &Run) -> Option<bool> {
+/// Whether the five-parameter model follows a run that a voltage drives no worse with what is known of its sensors than with `instead`;
+/// `None` where it cannot be fitted.
+pub fn is_supported(run: &Run, instead: Sensors) -> Option<bool> {
     let error = |run: &Run| {
         let scenario = Scenario::from_run(run).ok().filter(|own| own.input == Input::Voltage)?;
         let start = start::complete(&Model::baseline(Motor::new("lag")), &scenario).ok()?;
         let noise = NoiseFloor::from_spread(&scenario);
         Some(output_error::fit(&[start], &scenario, &noise).ok()?.nrms)
     };
-    let mut without = run.clone();
-    without.set_sensors(Sensors { speed: SpeedLag::default(), ..run.sensors() });
-    Some(error(run)? <= error(&without)?)
+    let mut other = run.clone();
+    other.set_sensors(instead);
+    Some(error(run)? <= error(&other)?)
 }
 
 #[cfg(test)]
@@ -182,7 +182,7 @@ mod tests {
             ];
             let mut run = run_of("r", scenario.sample_time_s.clone(), columns);
             run.set_sensors(stated);
-            assert_eq!(is_supported(&run), Some(has_filter));
+            assert_eq!(is_supported(&run, Sensors::default()), Some(has_filter));
         }
     }
 

@@ -86,6 +86,16 @@ pub fn no_speed_lag(stated: SpeedLag) -> String {
     )
 }
 
+/// The drive's own ramp of the voltage, which a record supports or not.
+pub fn ramp(ramp_v_per_s: f64, is_supported: bool) -> String {
+    let ramp = format!("the drive's profile states a ramp of the voltage of {ramp_v_per_s:.0} V/s");
+    if is_supported {
+        format!("{ramp}; this is a part of every model of the run")
+    } else {
+        format!("{ramp}, and the model follows the run better without it: it is left out")
+    }
+}
+
 /// A number with separators of thousands.
 fn counted(number: usize) -> String {
     let digits = number.to_string();

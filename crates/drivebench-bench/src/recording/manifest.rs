@@ -51,6 +51,9 @@ pub struct Manifest {
     pub speed_filter_s: Option<f64>,
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub averages_current: bool,
+    /// The drive's own ramp of its duty by its profile, as a share of the supply per second.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub duty_ramp_per_s: Option<f64>,
     /// `passed`, `interrupted`, `safety trip: ...`.
     pub outcome: Option<String>,
     /// Stop of the run: cause, times, requests; null where the output was never on.

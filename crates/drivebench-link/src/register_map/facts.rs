@@ -396,7 +396,15 @@ impl RegisterMap {
             speed: SpeedLag { delay_s: 0.0, filter_s: 1e-3 * filter_ms.unwrap_or(0.0) },
             has_unknown_filter: filter_ms.is_none(),
             averages_current: keys(Channel::Current).is_some_and(|keys| keys.since_last_read),
+            ramp_v_per_s: 0.0,
         }
+    }
+
+    /// The drive's own ramp of a duty, as a share of the supply per second.
+    pub fn duty_ramp_per_s(&self) -> Option<f64> {
+        let point = self.demand(Quantity::Voltage)?;
+        let ramp_percent_per_s = point.keys.ramp_per_s?;
+        (point.keys.quantity == Quantity::Duty).then_some(0.01 * ramp_percent_per_s)
     }
 
     pub fn of_quantity(&self, quantity: Quantity) -> Option<&Signal> {

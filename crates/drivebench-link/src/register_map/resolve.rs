@@ -431,7 +431,11 @@ impl Reader<'_> {
             };
             part.of("limits", check_limits(limits, keys.quantity, fits))?;
         }
-        for (key, value) in [("refresh_ms", keys.refresh_ms), ("slew_per_s", keys.slew_per_s)] {
+        for (key, value) in [
+            ("refresh_ms", keys.refresh_ms),
+            ("slew_per_s", keys.slew_per_s),
+            ("ramp_per_s", keys.ramp_per_s),
+        ] {
             let is_allowed = value.is_none_or(|value| value.is_finite() && value > 0.0);
             let message = format_args!("{key} is not allowed (expected more than 0)");
             part.require(is_allowed, key, message)?;

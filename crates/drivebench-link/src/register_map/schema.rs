@@ -277,6 +277,8 @@ pub struct SetPointKeys {
     pub(super) counts_per_turn: Option<u32>,
     pub limits: Option<[f64; 2]>,
     pub slew_per_s: Option<f64>,
+    /// The drive's own ramp to the set-point, in its unit per second.
+    pub ramp_per_s: Option<f64>,
     pub(super) refresh_ms: Option<f64>,
     #[serde(default)]
     pub readback: bool,

@@ -158,6 +158,7 @@ impl Scenario {
                 let found = unconfirmed::find(run, channel);
                 found.iter().for_each(|own| own.put_into(&mut events));
                 unconfirmed = found.into_iter().map(|own| own.interval).collect();
+                events = ramped(&events, run.sensors().ramp_v_per_s);
             }
             Channel::CurrentCmd => {
                 let steps = commanded_current::steps(&events);
@@ -614,6 +615,30 @@ impl Scenario {
         let sample = |limit_s: f64| self.sample_time_s.partition_point(|time| *time < limit_s);
         sample(begin_s)..sample(moved_s)
     }
+}
+
+/// Events behind the drive's own ramp, of so many units a second, as a staircase; the same where it has none.
+fn ramped(events: &[Point], per_s: f64) -> Vec<Point> {
+    // Steps of 0.5 ms, at most 50 of a command, as under a limit.
+    const STEP_S: f64 = 0.5e-3;
+    let Some(first) = events.first().filter(|_| per_s > 0.0) else { return events.to_vec() };
+    let (mut out, mut value) = (vec![*first], first.1);
+    let ends = events.iter().skip(2).map(|event| event.0).chain([f64::INFINITY]);
+    for ((from_s, target), end_s) in events.iter().skip(1).zip(ends) {
+        let lasts_s = ((target - value).abs() / per_s).min(end_s - from_s);
+        let reaches = value + (target - value).signum() * per_s * lasts_s;
+        let steps = whole((lasts_s / STEP_S).ceil()).min(50);
+        let at = |step: f64| step / steps as f64;
+        out.extend((0..steps).map(|step| {
+            let step = step as f64;
+            (from_s + at(step) * lasts_s, value + at(step + 0.5) * (reaches - value))
+        }));
+        value = if end_s - from_s > lasts_s { *target } else { reaches };
+        if from_s + lasts_s < end_s {
+            out.push((from_s + lasts_s, *target));
+        }
+    }
+    out
 }
 
 /// The input column. A commanded voltage has the instants of its changes; a measured one is known at the samples only and is the

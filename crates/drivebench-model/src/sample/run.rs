@@ -57,7 +57,7 @@ impl Side {
     }
 }
 
-/// What is known of the sensors of a run: a part of every model of it.
+/// What is known of the sensors and the power stage of a run: a part of every model of it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Sensors {
     pub speed: SpeedLag,
@@ -65,6 +65,8 @@ pub struct Sensors {
     pub has_unknown_filter: bool,
     /// A measured current is the mean since the sample before.
     pub averages_current: bool,
+    /// The drive's own ramp of the voltage, V/s; zero where it has none.
+    pub ramp_v_per_s: f64,
 }
 
 /// How much later than the shaft's a measured speed is: the delay and the time constant of the first-order filter of its sensor, s.
