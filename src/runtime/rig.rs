@@ -428,7 +428,10 @@ impl Rig {
         if !self.connection.clock.is_real() {
             layout = layout.without_host_time();
         }
-        let config = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
+        let known = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
+        let registers = self.profile.registers.as_ref();
+        let sensors = registers.map_or(known.sensors, |map| map.sensors());
+        let config = OnlineConfig { sensors, ..known };
         manifest
             .configs
             .insert(OnlineSettings::NAME.to_owned(), OnlineSettings::from(config).text());

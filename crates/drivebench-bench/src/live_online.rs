@@ -17,7 +17,7 @@ use crate::recording::Row;
 use drivebench_identify::online::{Frozen, Online, OnlineConfig};
 use drivebench_identify::recursive::{Memory, StartValues};
 use drivebench_model::plant::MotorKey;
-use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
+use drivebench_model::sample::{Channel, ParameterEstimate, Sample, Sensors, SpeedLag};
 
 /// Parameter estimation during the run, from every row of the record.
 pub trait LiveEstimator {
@@ -97,6 +97,10 @@ pub struct OnlineSettings {
     pub electrical_forgetting: f64,
     pub mechanical_forgetting: f64,
     pub torque_n_m_per_a: Option<f64>,
+    #[serde(default)]
+    pub speed_filter_s: f64,
+    #[serde(default)]
+    pub averages_current: bool,
     pub start: Option<StartValues>,
 }
 
@@ -117,12 +121,14 @@ impl OnlineSettings {
 impl From<OnlineConfig> for OnlineSettings {
     fn from(config: OnlineConfig) -> Self {
         // Taken apart in full: what is added to the configuration has to be kept as well.
-        let OnlineConfig { memory, torque_n_m_per_a, start } = config;
+        let OnlineConfig { memory, torque_n_m_per_a, start, sensors } = config;
         Self {
             electrical_forgetting: memory.electrical,
             mechanical_forgetting: memory.mechanical,
             torque_n_m_per_a,
             start,
+            speed_filter_s: sensors.speed.filter_s,
+            averages_current: sensors.averages_current,
         }
     }
 }
@@ -136,6 +142,11 @@ impl From<OnlineSettings> for OnlineConfig {
             },
             torque_n_m_per_a: settings.torque_n_m_per_a,
             start: settings.start,
+            sensors: Sensors {
+                speed: SpeedLag { delay_s: 0.0, filter_s: settings.speed_filter_s },
+                averages_current: settings.averages_current,
+                ..Sensors::default()
+            },
         }
     }
 }
@@ -206,6 +217,11 @@ mod tests {
                 inductance_h: 0.0099_f64.next_up(),
                 back_emf_v_s_per_rad: 2.0_f64.sqrt(),
             }),
+            sensors: Sensors {
+                speed: SpeedLag { delay_s: 0.0, filter_s: 1.0 / 15.0 },
+                averages_current: true,
+                ..Sensors::default()
+            },
         };
         for config in [OnlineConfig::default(), full] {
             let settings = OnlineSettings::from(config);

@@ -17,9 +17,6 @@ use drivebench_model::plant::{ActiveEffect, MotorKey, ParameterRole, Scenario, e
 /// Largest fall of a deviance by chance, with a free size at a free time.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
 
-/// Error in units of the noise from which much is left.
-const MUCH_RATIO: f64 = 3.0;
-
 /// Ratio of the errors before and after from which a fall is significant without the block test, a third of the squares; and
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
 const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
@@ -231,7 +228,7 @@ fn without_weight(
     let effect = *named.last()?;
     let floor = inference.floor(&bench.evidence);
     let [base, last] = [&rungs[0], rungs.last()?].map(|rung| rung.score.nrms);
-    let much_is_left = floor.expected() > 0.0 && last > MUCH_RATIO * floor.expected();
+    let much_is_left = floor.expected() > 0.0 && last > 3.0 * floor.expected();
     let is_valid = inference.why_open().is_none() && inference.is_nearly_white();
     if is_valid && !much_is_left || floor.is_explained_in_part(base, last) {
         return None;

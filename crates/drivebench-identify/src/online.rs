@@ -7,7 +7,7 @@ use serde::Serialize;
 use super::recursive::{CurrentIntegral, Memory, Scheme2, Scheme3, StartValues};
 use super::stamps;
 use drivebench_model::plant::{Model, MotorKey};
-use drivebench_model::sample::{Channel, ParameterEstimate, Sample};
+use drivebench_model::sample::{Channel, ParameterEstimate, Sample, Sensors};
 
 /// Settings of the user.
 #[derive(Clone, Copy, Debug, Default)]
@@ -18,6 +18,8 @@ pub struct OnlineConfig {
     pub torque_n_m_per_a: Option<f64>,
     /// First guess of R, L, Ke; without it the data give one.
     pub start: Option<StartValues>,
+    /// Filter of the speed, as far as it is known, and whether a current is the mean since the last read.
+    pub sensors: Sensors,
 }
 
 impl OnlineConfig {
@@ -27,6 +29,7 @@ impl OnlineConfig {
             memory: Memory::default(),
             torque_n_m_per_a: model.motor.get(MotorKey::TorqueConstant),
             start: StartValues::from_motor(&model.motor),
+            sensors: Sensors::default(),
         }
     }
 }
@@ -61,6 +64,9 @@ pub struct Online {
     half_width_s: f64,
     frozen: Frozen,
     last_s: Option<f64>,
+    sensors: Sensors,
+    /// Time, current and speed of the last reading, where means over the interval before a reading are taken.
+    last: Option<[f64; 3]>,
 }
 
 /// Samples at an active limit of the drive, where the voltage is not the commanded one and the estimates are frozen.
@@ -94,6 +100,8 @@ impl Online {
             half_width_s: 0.0,
             frozen: Frozen::default(),
             last_s: None,
+            sensors: config.sensors,
+            last: None,
         }
     }
 
@@ -133,6 +141,9 @@ impl Online {
             if half_width_s > 0.0 && self.late.is_none() {
                 self.late = Some(Box::new(self.scheme_3.clone()));
             }
+            let Some([time_s, current, speed]) = self.middle([time_s, current, speed]) else {
+                return;
+            };
             let late = self.late.as_deref_mut();
             for scheme_3 in std::iter::once(&mut self.scheme_3).chain(late) {
                 scheme_3.set_limited(sample.limited);
@@ -144,6 +155,20 @@ impl Online {
             }
             self.scheme_2.push(time_s, current, speed);
         }
+    }
+
+    /// The reading itself; where the speed is filtered or the current a mean, the means since the last reading at the middle of the
+    /// interval: of a first-order filter `T (y1 - y0) / h + (y0 + y1) / 2` is the mean of its input. `None` for the first.
+    fn middle(&mut self, now: [f64; 3]) -> Option<[f64; 3]> {
+        let Sensors { speed, averages_current, .. } = self.sensors;
+        if speed.filter_s <= 0.0 && !averages_current {
+            return Some(now);
+        }
+        let [from, to] = [self.last.replace(now)?, now];
+        let mean = |signal: usize| f64::midpoint(from[signal], to[signal]);
+        let lead = speed.filter_s * (to[2] - from[2]) / (to[0] - from[0]);
+        let current_a = if averages_current { to[1] } else { mean(1) };
+        Some([mean(0), current_a, mean(2) + lead])
     }
 
     /// Scheme 3: R, L, Ke, J, Mc.

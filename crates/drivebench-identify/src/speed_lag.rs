@@ -16,19 +16,28 @@ use drivebench_model::sample::{Channel, Run, Sensors, SpeedLag};
 use crate::noise::NoiseFloor;
 use crate::{output_error, start};
 
-/// Samples of one row of the regression: over more, an error of the speed's scale grows; over fewer, the last count of the angle does.
-const SAMPLES: usize = 10;
-/// Share of the largest speed that every sample of a row has: near standstill friction bends the speed within a sample, and an
-/// observer follows another law.
-const LEAST_SPEED: f64 = 0.1;
-/// Fewest rows: a run of some seconds.
-const LEAST_ROWS: usize = 30;
-/// A lag of so many standard deviations is one.
-const LEAST_SIGMAS: f64 = 5.0;
-/// Shortest lag, in sampling periods: shorter ones are errors of the stamps, which every fit takes into account.
-const LEAST_PERIODS: f64 = 0.1;
-/// Longest lag, in the length of a row: beyond it the expansion has no meaning.
-const MOST_ROW_LENGTHS: f64 = 1.0;
+struct Settings {
+    /// Samples of one row of the regression: over more, an error of the speed's scale grows; over fewer, the last count of the angle
+    /// does.
+    samples: usize,
+    /// Share of the largest speed that every sample of a row has: near standstill friction bends the speed within a sample, and an
+    /// observer follows another law.
+    least_speed: f64,
+    /// Fewest rows: a run of some seconds.
+    least_rows: usize,
+    /// A lag of so many standard deviations is one.
+    least_sigmas: f64,
+    /// Shortest lag, in sampling periods: shorter ones are errors of the stamps, which every fit takes into account.
+    least_periods: f64,
+}
+
+const SETTINGS: Settings = Settings {
+    samples: 10,
+    least_speed: 0.1,
+    least_rows: 30,
+    least_sigmas: 5.0,
+    least_periods: 0.1,
+};
 
 /// A lag, zero where none is significant, and the standard deviation of its total.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,20 +48,21 @@ pub struct FoundLag {
 
 /// The lag of the speed; `None` where the run has no angle of its own, or does not determine the lag.
 pub fn by_angle(run: &Run) -> Option<FoundLag> {
+    let samples = SETTINGS.samples;
     let column = |channel| run.column(channel);
     let (speeds, angles) = (column(Channel::Speed)?, column(Channel::Angle)?);
     let times = run.time_s();
     let both = |row: &usize| speeds[*row].is_finite() && angles[*row].is_finite();
-    let samples: Vec<usize> = (0..run.rows()).filter(both).collect();
-    let at: Vec<f64> = samples.iter().map(|row| times[*row]).collect();
+    let rows: Vec<usize> = (0..run.rows()).filter(both).collect();
+    let at: Vec<f64> = rows.iter().map(|row| times[*row]).collect();
     let period_s = median_step(&at);
-    let speed: Vec<f64> = samples.iter().map(|row| speeds[*row]).collect();
-    let angle: Vec<f64> = samples.iter().map(|row| angles[*row]).collect();
-    let least_rad_s = LEAST_SPEED * largest(speed.iter().copied());
+    let speed: Vec<f64> = rows.iter().map(|row| speeds[*row]).collect();
+    let angle: Vec<f64> = rows.iter().map(|row| angles[*row]).collect();
+    let least_rad_s = SETTINGS.least_speed * largest(speed.iter().copied());
     let is_row = |first: &usize| {
-        let steps = at[*first - 1..=*first + SAMPLES + 1].windows(2);
+        let steps = at[*first - 1..=*first + samples + 1].windows(2);
         let is_regular = steps.map(|pair| pair[1] - pair[0]).all(|step_s| step_s < 1.5 * period_s);
-        let speeds = &speed[*first - 1..=*first + SAMPLES + 1];
+        let speeds = &speed[*first - 1..=*first + samples + 1];
         is_regular && speeds.iter().all(|speed| speed.abs() > least_rad_s)
     };
     let rate = |k: usize| (speed[k + 1] - speed[k - 1]) / (at[k + 1] - at[k - 1]);
@@ -63,24 +73,25 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
         0.5 * step_s * (speed[k] + speed[k + 1]) - curved
     };
     let row = |first: usize| {
-        let last = first + SAMPLES;
+        let last = first + samples;
         let turned = angle[last] - angle[first];
         let integral: f64 = (first..last).map(travelled).sum();
         ([speed[last] - speed[first], rate(last) - rate(first), turned], turned - integral)
     };
-    let last = at.len().checked_sub(SAMPLES + 1)?;
-    let rows: Vec<([f64; 3], f64)> = (1..last).step_by(SAMPLES).filter(is_row).map(row).collect();
-    if rows.len() < LEAST_ROWS {
+    let last = at.len().checked_sub(samples + 1)?;
+    let rows: Vec<([f64; 3], f64)> = (1..last).step_by(samples).filter(is_row).map(row).collect();
+    if rows.len() < SETTINGS.least_rows {
         return None;
     }
     let fit = fit_normal(&rows, 1e-4)?;
     let [total_s, curvature, _] = fit.x;
     let std_s = fit.std[0];
-    let most_s = MOST_ROW_LENGTHS * SAMPLES as f64 * period_s;
+    // Beyond the length of a row the expansion has no meaning.
+    let most_s = samples as f64 * period_s;
     if total_s.abs() > most_s || std_s > 0.1 * most_s {
         return None;
     }
-    if total_s < (LEAST_SIGMAS * std_s).max(LEAST_PERIODS * period_s) {
+    if total_s < (SETTINGS.least_sigmas * std_s).max(SETTINGS.least_periods * period_s) {
         return Some(FoundLag { lag: SpeedLag::default(), std_s });
     }
     let variance_s2 = (total_s * total_s - 2.0 * curvature).clamp(0.0, total_s * total_s);
@@ -105,6 +116,7 @@ pub fn is_supported(run: &Run, instead: Sensors) -> Option<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drivebench_model::numerics::count::whole;
     use drivebench_model::plant::testing::run_of;
     use drivebench_model::plant::{State, testing::record};
     use drivebench_model::sample::Origin;
@@ -124,7 +136,7 @@ mod tests {
             speed += step_s / decay_s * (wanted - speed);
             angle += step_s * speed;
             past.push(speed);
-            let late = past.len().saturating_sub(1 + (lag.delay_s / step_s).round() as usize);
+            let late = past.len().saturating_sub(1 + whole((lag.delay_s / step_s).round()));
             if lag.filter_s > 0.0 {
                 filtered += step_s / lag.filter_s * (past[late] - filtered);
             } else {

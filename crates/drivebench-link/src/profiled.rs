@@ -187,7 +187,6 @@ impl<B: CellBus> ProfiledLink<B> {
             self.points.may_join(self.readings.joinable().is_some());
             if let Wanted::Run(Some((name, value))) = wanted {
                 let points = &mut self.points;
-                points.has_written = false;
                 let put = points.put(&mut far_end!(self), name, *value);
                 // A write that was acknowledged acts, whatever becomes of its read-back.
                 self.is_unsent = !was_sent(&put) && !points.has_written;

@@ -407,7 +407,10 @@ mod tests {
         let status = |answer: &[u8]| answer[answer.len() - 4];
         assert_eq!(status(&answers(&mut vesc, &values)[0]), 1, "the time-out shows");
         let current = bytes_of("02 05 06 00 00 00 00 CD 85 03");
-        assert_eq!(status(&answers(&mut vesc, &[current, values].concat())[0]), 0);
+        // It acts at once, and the drive looks at its clock every 10 ms.
+        assert_eq!(status(&answers(&mut vesc, &[&current[..], &values].concat())[0]), 1);
+        vesc.advance_to(4.011);
+        assert_eq!(status(&answers(&mut vesc, &values)[0]), 0);
     }
 
     #[test]

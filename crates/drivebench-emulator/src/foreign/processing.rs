@@ -2,9 +2,7 @@
 //! since it was last read, and a time-out as of its last look at the clock.
 
 use drivebench_link::register_map::RegisterMap;
-
-/// Period at which a drive that resumes with the next command looks whether one came, s: that of VESC (timeout.c).
-const LOOK_S: f64 = 0.01;
+use drivebench_model::numerics::count::whole;
 
 /// The processed signals of one drive.
 #[derive(Debug, Default)]
@@ -49,7 +47,8 @@ impl Processing {
 
     /// Notes whether the host is lost, where the drive looks now.
     pub(super) fn look(&mut self, time_s: f64, is_lost: bool) {
-        let look = drivebench_model::numerics::count::whole((time_s / LOOK_S).floor()) as u64;
+        // Every 10 ms, as VESC does (timeout.c).
+        let look = whole((100.0 * time_s).floor()) as u64;
         if look > self.looked {
             (self.looked, self.is_lost) = (look, is_lost);
         }

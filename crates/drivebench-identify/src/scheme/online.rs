@@ -37,7 +37,8 @@ pub(super) const EKF: Scheme = Scheme {
 };
 
 fn over_run(data: &Data<'_>) -> Online {
-    let mut online = Online::new(OnlineConfig::from_model(data.model));
+    let sensors = data.scenario.sensors;
+    let mut online = Online::new(OnlineConfig { sensors, ..OnlineConfig::from_model(data.model) });
     for sample in data.run_as_used().samples() {
         online.push(&sample);
     }

@@ -145,7 +145,7 @@ impl Points {
     /// Holds a reference: within its limits, no faster than its slew.
     pub(super) fn put(&mut self, far: &mut FarEnd<'_>, name: &str, wanted: f64) -> Result<()> {
         self.running = true;
-        self.is_urgent = false;
+        (self.is_urgent, self.has_written) = (false, false);
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
             return Ok(());

@@ -11,10 +11,14 @@ use crate::numerics::statistics::{largest, median_step};
 use crate::sample::{Channel, Run, Sensors, SpeedLag};
 use crate::signal::{self, Point};
 
-/// Allowed difference to the slope of the angle, as a share of the largest speed.
-const DIFFERENCE: f64 = 0.02;
-/// Samples on either side over which the speed is compared with the slope of the angle.
-const COMPARED: usize = 2;
+struct Settings {
+    /// Allowed difference to the slope of the angle, as a share of the largest speed.
+    difference: f64,
+    /// Samples on either side over which the speed is compared with the slope of the angle.
+    compared: usize,
+}
+
+const SETTINGS: Settings = Settings { difference: 0.02, compared: 2 };
 
 /// The run with the restored speed.
 pub(super) struct Restored {
@@ -46,7 +50,7 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
     let lost = match run.column(Channel::Angle) {
         Some(angle) => {
             let angle: Vec<f64> = rows.iter().map(|row| angle[*row]).collect();
-            differs_from_angle(&inverse, &angle, DIFFERENCE * fastest)
+            differs_from_angle(&inverse, &angle, SETTINGS.difference * fastest)
         }
         // A filter of less than two periods is restored within a sample.
         None if lag.filter_s > 2.0 * period_s => near_reversals(&speed, lag.filter_s),
@@ -80,8 +84,8 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
 fn differs_from_angle(speed: &[Point], angle: &[f64], most: f64) -> Vec<bool> {
     let count = smallest_step(angle);
     let mut differs = vec![false; speed.len()];
-    for (first, window) in speed.windows(2 * COMPARED + 1).enumerate() {
-        let end = first + 2 * COMPARED;
+    for (first, window) in speed.windows(2 * SETTINGS.compared + 1).enumerate() {
+        let end = first + 2 * SETTINGS.compared;
         let seconds = speed[end].0 - speed[first].0;
         let areas =
             window.windows(2).map(|pair| 0.5 * (pair[1].0 - pair[0].0) * (pair[0].1 + pair[1].1));
@@ -95,8 +99,9 @@ fn differs_from_angle(speed: &[Point], angle: &[f64], most: f64) -> Vec<bool> {
 
 /// Samples that are no farther than `within_s` from a change of the sign of the speed.
 fn near_reversals(speed: &[Point], within_s: f64) -> Vec<bool> {
-    let turns =
-        speed.windows(2).filter(|pair| pair[0].1 * pair[1].1 <= 0.0 && pair[0].1 != pair[1].1);
+    let turns = speed
+        .windows(2)
+        .filter(|pair| pair[0].1 * pair[1].1 <= 0.0 && (pair[1].1 - pair[0].1).abs() > 0.0);
     let turns_s: Vec<f64> = turns.map(|pair| pair[1].0).collect();
     let is_near = |point: &Point| {
         let next = turns_s.partition_point(|turn_s| *turn_s < point.0 - within_s);

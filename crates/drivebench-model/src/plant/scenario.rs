@@ -156,7 +156,9 @@ impl Scenario {
             Channel::VoltageCmd => {
                 (events, limits) = applied(run, &events);
                 let found = unconfirmed::find(run, channel);
-                found.iter().for_each(|own| own.put_into(&mut events));
+                for own in &found {
+                    own.put_into(&mut events);
+                }
                 unconfirmed = found.into_iter().map(|own| own.interval).collect();
                 events = ramped(&events, run.sensors().ramp_v_per_s);
             }
@@ -619,15 +621,14 @@ impl Scenario {
 
 /// Events behind the drive's own ramp, of so many units a second, as a staircase; the same where it has none.
 fn ramped(events: &[Point], per_s: f64) -> Vec<Point> {
-    // Steps of 0.5 ms, at most 50 of a command, as under a limit.
-    const STEP_S: f64 = 0.5e-3;
     let Some(first) = events.first().filter(|_| per_s > 0.0) else { return events.to_vec() };
     let (mut out, mut value) = (vec![*first], first.1);
     let ends = events.iter().skip(2).map(|event| event.0).chain([f64::INFINITY]);
     for ((from_s, target), end_s) in events.iter().skip(1).zip(ends) {
         let lasts_s = ((target - value).abs() / per_s).min(end_s - from_s);
         let reaches = value + (target - value).signum() * per_s * lasts_s;
-        let steps = whole((lasts_s / STEP_S).ceil()).min(50);
+        // Steps of 0.5 ms, at most 50 of a command, as under a limit.
+        let steps = whole((lasts_s / 0.5e-3).ceil()).min(50);
         let at = |step: f64| step / steps as f64;
         out.extend((0..steps).map(|step| {
             let step = step as f64;

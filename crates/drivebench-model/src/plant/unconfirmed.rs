@@ -27,7 +27,8 @@ pub(super) fn find(run: &Run, channel: Channel) -> Vec<Unconfirmed> {
     for chain in rows.chunk_by(|one, next| is_unconfirmed(*one) == is_unconfirmed(*next)) {
         let before = end.checked_sub(1).map(|at| column[rows[at]]);
         end += chain.len();
-        let changes = |row: &&usize| before.is_some_and(|before| before != column[**row]);
+        let changes =
+            |row: &&usize| before.is_some_and(|before| (before - column[**row]).abs() > 0.0);
         let from = chain.iter().find(changes).filter(|row| is_unconfirmed(**row));
         if let (Some(from), Some(before)) = (from, before) {
             let confirmed = rows.get(end).copied();
