@@ -43,17 +43,17 @@ pub(crate) fn complete(mut loaded: LoadedRun, terminal: &Terminal) -> Result<Loa
     }
     loaded.run = speed_from_angle::complete(&loaded.run)
         .map_err(|error| Failure::new(USAGE, error.to_string()))?;
+    loaded.warnings.extend_from_slice(&loaded.run.notes[before..]);
+    if let Some(dialect) = &loaded.dialect {
+        terminal.message(dialect);
+    }
+    terminal.warn(&loaded.warnings);
     if let Some(manifest) = loaded.manifest.as_ref().filter(|own| !own.carried.is_empty()) {
         let known = known_sensors(&loaded.run, manifest);
         loaded.run = known.0;
         let name = loaded.run.name.clone();
         loaded.run.notes.extend(known.1.into_iter().map(|text| format!("{name}: {text}")));
     }
-    loaded.warnings.extend_from_slice(&loaded.run.notes[before..]);
-    if let Some(dialect) = &loaded.dialect {
-        terminal.message(dialect);
-    }
-    terminal.warn(&loaded.warnings);
     Ok(loaded)
 }
 

@@ -12,7 +12,7 @@ const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-emulator", 13_230),
     ("crates/drivebench-identify", 24_200),
     ("crates/drivebench-link", 18_890),
-    ("crates/drivebench-model", 17_100),
+    ("crates/drivebench-model", 17_150),
     ("crates/drivebench-studies", 10_200),
     ("firmware-protocol", 5_010),
     ("src/commands", 15_060),

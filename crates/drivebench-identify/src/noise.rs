@@ -89,6 +89,10 @@ impl NoiseFloor {
             (level > 0.0 || most > least).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
+        // A drive that reports means has released the motor at rest, and reads nothing there.
+        let rough =
+            if scenario.sensors.averages_current { roughness(&scenario.current_a) } else { 0.0 };
+        let current = current.map(|(level, count, memory)| (level.max(rough), count, memory));
         // The quantisation noise of a speed that is derived from a coarse angle, or restored from behind a filter, vanishes at rest.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
         let derived = derived.max(scenario.speed_rounding_rad_s);

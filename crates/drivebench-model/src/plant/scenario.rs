@@ -224,6 +224,9 @@ impl Scenario {
                 scenario.voltage_v = scenario.sample_time_s.iter().map(at).collect();
             }
         }
+        if run.sensors().averages_current && channel == Channel::VoltageCmd {
+            scenario.leave_out_currents_over_reversals();
+        }
         scenario.refuse_gaps()?;
         if input == Input::Voltage {
             let is_own = run.origin(channel) == Origin::Commanded || half_widths.is_some();
@@ -243,6 +246,22 @@ impl Scenario {
     pub fn doubtful_lag_s(&self) -> f64 {
         let period_s = self.mean_period_s();
         self.command_lag_s.clamp(-period_s, period_s)
+    }
+
+    /// A mean without a sign has that of the voltage when it is read, which was another in a part of its interval.
+    fn leave_out_currents_over_reversals(&mut self) {
+        let mut from_s = self.begin_s();
+        for (current, to_s) in self.current_a.iter_mut().zip(&self.sample_time_s) {
+            let first = self.events.partition_point(|event| event.0 <= from_s).saturating_sub(1);
+            let last = self.events.partition_point(|event| event.0 <= *to_s);
+            let signs = self.events[first..last].iter().map(|event| event.1.signum());
+            let is_one_way =
+                signs.clone().all(|sign| sign > 0.0) || signs.clone().all(|sign| sign < 0.0);
+            if !is_one_way && self.events[first..last].iter().any(|event| event.1 != 0.0) {
+                *current = f64::NAN;
+            }
+            from_s = *to_s;
+        }
     }
 
     /// Adds estimates of the voltage where it is unknown, and removes the measurements from which a simulation restarts after a long
@@ -784,6 +803,27 @@ mod tests {
         assert_eq!(missing.count(), 1);
         let whole = Scenario::from_run(&run(Origin::Unknown)).unwrap();
         assert!(whole.unknown_input.is_empty() && whole.events.len() == 40);
+    }
+
+    #[test]
+    fn means_of_a_current_over_a_reversal_are_left_out_and_a_ramp_is_a_staircase() {
+        let mut run = run(Origin::Commanded);
+        let volts = (0..40).map(|row| if row < 20 { 10.0 } else { -10.0 }).collect();
+        run.set_column(Channel::VoltageCmd, volts, Origin::Commanded).unwrap();
+        let current = vec![1.0; 40];
+        run.set_column(Channel::Current, current, Origin::Measured).unwrap();
+        run.set_sensors(Sensors {
+            averages_current: true,
+            ramp_v_per_s: 4000.0,
+            ..Sensors::default()
+        });
+        let scenario = Scenario::from_run(&run).unwrap();
+        let lost: Vec<usize> =
+            (0..40).filter(|sample| scenario.current_a[*sample].is_nan()).collect();
+        assert_eq!(lost, [21], "from 0.2 s on the voltage passes zero, in 5 ms");
+        for (time_s, volts) in [(0.1999, 10.0), (0.2025, 0.0), (0.2051, -10.0)] {
+            assert!((scenario.input_at(time_s) - volts).abs() < 1.1, "{time_s}");
+        }
     }
 
     fn speeds(model: &Model, run: &Scenario) -> Vec<f64> {
