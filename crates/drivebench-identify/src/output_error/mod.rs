@@ -236,7 +236,7 @@ fn interval_factor(minimum: &Minimum, rows: &[(usize, bool)], noise: &NoiseFloor
 }
 
 /// Output-error fit where the host stamped samples and commands: by how much the input came later than its stamps say is
-/// one more unknown of the record, with what is known of it beforehand.
+/// one more unknown of the record, with what is known of it beforehand; the fitted model has it.
 ///
 /// Gauss-Newton by blocks: the parameters at a delay, then the delay along what they cannot follow, `g - J (J'J)^-1 J'g`.
 /// What is left unknown of it enters every parameter's interval along `(J'J)^-1 J'g`.
@@ -250,14 +250,15 @@ pub fn fit_delayed(
     let Some((mean_s, prior_s)) = scenario.input_delay_s() else {
         return fit(starts, scenario, noise);
     };
-    let mut delay_s = mean_s;
-    let mut found = fit(starts, &scenario.with_input_delayed(delay_s), noise)?;
+    let with = |model: &Model, delay_s| Model { input_delay_s: Some(delay_s), ..model.clone() };
+    let known_s = starts.first().and_then(|start| start.input_delay_s);
+    let mut delay_s = known_s.unwrap_or(mean_s);
+    let starts: Vec<Model> = starts.iter().map(|start| with(start, delay_s)).collect();
+    let mut found = fit(&starts, scenario, noise)?;
     for round in 0..6 {
-        let here = scenario.with_input_delayed(delay_s);
         let x = &found.minimum.x;
         let residual_at = |delay_s: f64| -> Result<DVector<f64>, FitError> {
-            let there = scenario.with_input_delayed(delay_s);
-            let problem = FreeRun::new(&found.model, &there, *noise)?;
+            let problem = FreeRun::new(&with(&found.model, delay_s), scenario, *noise)?;
             let mut out = vec![0.0; problem.residual_len()];
             if problem.residual(x, &mut out) {
                 Ok(DVector::from_vec(out))
@@ -273,7 +274,7 @@ pub fn fit_delayed(
         let along = bread * jacobian.tr_mul(&gradient);
         let own = &gradient - jacobian * &along;
         let residual = DVector::from_column_slice(&found.minimum.residual);
-        let problem = FreeRun::new(&found.model, &here, *noise)?;
+        let problem = FreeRun::new(&found.model, scenario, *noise)?;
         let left = (found.interval_factor * found.nrms.max(1.0)).powi(2);
         let information = own.norm_squared() / left + prior_s.powi(-2);
         let pull = own.dot(&residual) / left + (delay_s - mean_s) / prior_s.powi(2);
@@ -281,15 +282,14 @@ pub fn fit_delayed(
         let step_s = -pull / information;
         if step_s.abs() > 0.1 * white_s && round < 5 {
             delay_s += step_s.clamp(-prior_s, prior_s);
-            let next = scenario.with_input_delayed(delay_s);
-            found = fit(std::slice::from_ref(&found.model), &next, noise)?;
+            found = fit(&[with(&found.model, delay_s)], scenario, noise)?;
             continue;
         }
         // What neighbouring samples err by together, as the parameters' own intervals have it.
         let rows: Vec<(usize, usize)> =
             problem.rows().iter().map(|row| row.0).enumerate().collect();
-        let block_s = here.scales.block_s();
-        let block = |row: &(usize, usize)| (here.sample_time_s[row.1] / block_s).floor();
+        let block_s = scenario.scales.block_s();
+        let block = |row: &(usize, usize)| (scenario.sample_time_s[row.1] / block_s).floor();
         let scores = rows.chunk_by(|a, b| block(a).total_cmp(&block(b)).is_eq()).map(|block| {
             let score: f64 = block.iter().map(|(row, _)| own[*row] * residual[*row]).sum();
             score * score
@@ -299,7 +299,7 @@ pub fn fit_delayed(
         let std_s = white_s.max(clustered_s).min(prior_s);
         let shared: Vec<f64> = along.iter().map(|share| share * std_s).collect();
         let factor = found.interval_factor;
-        found.parameters = estimates(&problem, &found.minimum, &here, factor, &shared);
+        found.parameters = estimates(&problem, &found.minimum, scenario, factor, &shared);
         break;
     }
     Ok(found)

@@ -40,7 +40,10 @@ pub use motor::{Motor, MotorKey};
 pub use motor_range::{LEAST_TIME_CONSTANT, motor_range};
 pub use run_scales::{Measure, RunScales};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
-pub use simulate::{Correction, Plant, State, Trajectory, starts_from_rest};
+pub use simulate::{
+    Correction, Plant, Reading, Sensors as SensorPath, State, SubStep, Trajectory, Transient,
+    starts_from_rest,
+};
 pub use torque_map::{MapBin, MapTextError, MappedTorque, MappedValue, TorqueMap};
 pub use typical_size::typical_size;
 pub use unknown_input::UnknownInput;

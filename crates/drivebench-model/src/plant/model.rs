@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use super::effect::{self, Effect, ParameterRole, ParameterSpec, Path, Terms};
 use super::motor::{Motor, MotorKey};
+use super::scenario::Scenario;
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum ModelError {
@@ -137,6 +138,9 @@ pub struct Model {
     pub fixed: Vec<String>,
     /// Those of `fixed` that are fixed only while an effect is in the model.
     pub held: Vec<Held>,
+    /// By how much the commands act later than the stamps of the host, s, on a link without the drive's clock; negative where
+    /// earlier. A property of the link: runs that the drive has stamped do not have it. `None` where it was not estimated.
+    pub input_delay_s: Option<f64>,
 }
 
 /// A parameter that an effect would explain as well, fixed for as long as the effect is in the model.
@@ -147,6 +151,11 @@ pub struct Held {
 }
 
 impl Model {
+    /// By how much the commands of this run act later than their stamps, s.
+    pub fn input_delay_in(&self, run: &Scenario) -> f64 {
+        self.input_delay_s.filter(|_| run.is_stamped_by_host()).unwrap_or(0.0)
+    }
+
     pub fn baseline(motor: Motor) -> Self {
         Self { motor, ..Self::default() }
     }

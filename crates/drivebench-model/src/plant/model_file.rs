@@ -86,7 +86,10 @@ impl ModelFile {
                         reader.error(0, "history", error.message())
                     })?;
                 }
-                other => return Err(reader.unknown(0, other, &["motor", "effect", "history"])),
+                "link" => model.input_delay_s = reader.link(value)?,
+                other => {
+                    return Err(reader.unknown(0, other, &["motor", "effect", "history", "link"]));
+                }
             }
         }
         // After `fixed`: a parameter in both lists is fixed independently of the effect.
@@ -118,6 +121,10 @@ impl ModelFile {
         write_list(&mut text, "fixed", fixed);
         for (index, active) in self.model.effects.iter().enumerate() {
             self.write_effect(&mut text, index, active);
+        }
+        if let Some(delay_s) = self.model.input_delay_s {
+            let what = "s: commands act later than the stamps of the host";
+            let _ = write!(text, "\n[link]\n{COMMANDS_LATE} = {delay_s:?}  # {what}\n");
         }
         if self.history != FileHistory::default() {
             let table =
@@ -166,6 +173,8 @@ impl ModelFile {
         fitted.map_or_else(String::new, |fitted| format!("  # +- {:?} {}", fitted.std, slot.unit()))
     }
 }
+
+const COMMANDS_LATE: &str = "commands_late_s";
 
 /// A list of texts under `key`, if there is anything in it.
 fn write_list<'a>(text: &mut String, key: &str, items: impl Iterator<Item = &'a String>) {
@@ -238,6 +247,25 @@ impl Reader<'_> {
                 Err(self.error(from, key, &message))
             }
         }
+    }
+
+    fn link(&self, value: &toml::Value) -> Result<Option<f64>, ConfigError> {
+        let Some(table) = value.as_table() else {
+            return Err(self.error(0, "link", "link must be a table: [link]"));
+        };
+        let mut delay_s = None;
+        for (key, value) in table {
+            if key != COMMANDS_LATE {
+                return Err(self.unknown(0, key, &[COMMANDS_LATE]));
+            }
+            let number = self.number(0, key, value)?;
+            if !number.is_finite() {
+                let message = format!("{key} is {number}, expected a finite number of seconds");
+                return Err(self.error(0, key, &message));
+            }
+            delay_s = Some(number);
+        }
+        Ok(delay_s)
     }
 
     fn motor(&self, value: &toml::Value, model: &mut Model) -> Result<(), ConfigError> {
@@ -386,7 +414,17 @@ stribeck_n_m = 0.2
         let mut file = parsed(TEXT);
         file.history.fitted_on.push("runs/x \"quoted\"".to_owned());
         file.history.fitted.push(FittedValue { key: "inertia_kg_m2".into(), std: 2e-6 });
+        file.model.input_delay_s = Some(-6.9e-4);
         let again = parsed(&file.to_toml());
+        assert_eq!(again.model.input_delay_s, Some(-6.9e-4));
+        for (link, message) in [
+            ("late_s = 1.0", "unknown key `late_s`"),
+            ("commands_late_s = nan", "commands_late_s is NaN"),
+            ("commands_late_s = \"1\"", "commands_late_s is a string"),
+        ] {
+            let error = ModelFile::parse("m.toml", &format!("{TEXT}[link]\n{link}\n")).unwrap_err();
+            assert!(error.to_string().contains(message), "{error}");
+        }
         assert_eq!(again.model.motor, file.model.motor);
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.history, file.history);

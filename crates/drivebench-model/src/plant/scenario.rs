@@ -334,6 +334,11 @@ impl Scenario {
         self.time_half_width_s.get(sample).copied().unwrap_or(0.0)
     }
 
+    /// Whether any sample has a stamp of the host, with its half-width.
+    pub fn is_stamped_by_host(&self) -> bool {
+        self.time_half_width_s.iter().any(|half_width_s| *half_width_s > 0.0)
+    }
+
     /// Median half-width of the stamps that are not of the drive, s; `None` where all are.
     pub fn typical_half_width_s(&self) -> Option<f64> {
         let mut present = self.time_half_width_s.clone();
@@ -361,18 +366,6 @@ impl Scenario {
     /// Whether the input is known at the samples only, so that its changes came at unknown instants.
     pub fn has_sampled_input(&self) -> bool {
         self.unknown_input.iter().any(UnknownInput::is_of_edge)
-    }
-
-    /// The same with every change of the input delayed by `delay_s`; the first value holds from the same instant.
-    #[must_use]
-    pub fn with_input_delayed(&self, delay_s: f64) -> Self {
-        let mut delayed = self.clone();
-        let mut last_s = self.begin_s();
-        for event in delayed.events.iter_mut().skip(1) {
-            event.0 = (event.0 + delay_s).max(last_s.next_up());
-            last_s = event.0;
-        }
-        delayed
     }
 
     /// Instant of the first input, at which the simulation starts.
@@ -764,10 +757,6 @@ mod tests {
         let sampled = with_column(drive.without(Channel::VoltageCmd), channel, cells, origin);
         let (mean_s, std_s) = sampled.input_delay_s().unwrap();
         assert!((mean_s + 0.005).abs() < 1e-9 && (std_s - 0.005).abs() < 1e-9);
-        let later = commanded.with_input_delayed(0.0005);
-        let (before, after) = (&commanded.events, &later.events);
-        assert_eq!(after[0], before[0], "the first value holds on");
-        assert!((after[1].0 - before[1].0 - 0.0005).abs() < 1e-12);
     }
 
     /// A switched voltage at 1 kHz of which a row and 0.2 s are lost.

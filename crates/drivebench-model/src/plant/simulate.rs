@@ -19,7 +19,7 @@ mod two_mass;
 pub use commands::starts_from_rest;
 pub use equations::State;
 use equations::{Equations, Mode};
-use sensors::{Reading, Sensors};
+pub use sensors::{Reading, Sensors, Transient};
 use steep::Steep;
 use steps::Steps;
 use two_mass::TwoMass;
@@ -37,7 +37,7 @@ const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
 /// Angle of the shaft in a sub-step with effects of the angle, rad: a fourteenth of the period of six teeth.
 const LONGEST_TURN_RAD: f64 = 0.3;
 /// Sub-steps between two samples that are enough whatever the time of response is.
-const MOST_STEPS_A_SAMPLE: f64 = 20.0;
+const MOST_STEPS_A_SAMPLE: f64 = 10.0;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -57,6 +57,19 @@ pub struct Correction {
     pub voltage_v: f64,
 }
 
+/// One sub-step of a simulation.
+#[derive(Clone, Copy, Debug)]
+pub struct SubStep {
+    pub begin_s: f64,
+    pub length_s: f64,
+    pub input: f64,
+    /// Current, A, and speed, rad/s, at its begin and its end.
+    pub from: [f64; 2],
+    pub to: [f64; 2],
+    /// Directions of motion at its begin and its end; zero at rest.
+    pub directions: [f64; 2],
+}
+
 /// A model compiled for simulation.
 pub struct Plant {
     equations: Equations,
@@ -68,12 +81,14 @@ pub struct Plant {
     stuck: Steps,
     two_mass: Option<Box<TwoMass>>,
     /// Sensors with delays, filters or offsets; `None` where the measurement is the motion.
-    sensors: Option<Sensors>,
+    sensors: Option<Sensors<1>>,
     /// Currents at which sub-steps must be shorter, in the present run.
     steep: Steep,
     /// Start of the present run, s.
     begin_s: f64,
     work: u64,
+    /// The sub-steps of the present run, where they are kept.
+    trace: Option<Vec<SubStep>>,
 }
 
 /// Longest sub-step in a run, s.
@@ -100,8 +115,8 @@ fn longest_step_s(equations: &Equations, scales: &RunScales) -> f64 {
     step_s
 }
 
-fn reading(time_s: f64, state: &State) -> Reading {
-    Reading { time_s, current_a: state.current_a, speed_rad_s: state.speed_rad_s }
+fn reading(time_s: f64, state: &State) -> Reading<1> {
+    Reading { time_s, current_a: [state.current_a], speed_rad_s: [state.speed_rad_s] }
 }
 
 impl Plant {
@@ -121,8 +136,25 @@ impl Plant {
             steep: Steep::default(),
             begin_s: 0.0,
             work: 0,
+            trace: None,
             equations,
         })
+    }
+
+    pub const fn is_of_one_inertia(&self) -> bool {
+        self.two_mass.is_none()
+    }
+
+    /// Keeps the sub-steps of the runs to come.
+    #[must_use]
+    pub fn traced(mut self) -> Self {
+        self.trace = Some(Vec::new());
+        self
+    }
+
+    /// The sub-steps of the last run, where they were kept.
+    pub fn into_trace(self) -> Vec<SubStep> {
+        self.trace.unwrap_or_default()
     }
 
     /// With sub-steps of `step_s` instead of the shorter ones for effects: for runs that are compared with each other, not with a
@@ -207,6 +239,7 @@ impl Plant {
         mut correct: impl FnMut(usize, [f64; 2], &State) -> Option<Correction>,
     ) {
         (self.equations.load_n_m, self.equations.extra_v) = (0.0, 0.0);
+        self.trace.iter_mut().for_each(Vec::clear);
         out.current_a.clear();
         out.speed_rad_s.clear();
         self.moving.clear();
@@ -219,7 +252,7 @@ impl Plant {
         let holes = scenario.unknown_input.iter();
         let restarts = holes.filter_map(|hole| Some((hole.to_s, hole.restart?)));
         let mut restarts = restarts.peekable();
-        self.equations.set_sensors(scenario.sensors);
+        self.equations.set_path(scenario);
         let late_s = self.equations.path.command_delay_s;
         // A delayed command of a hole acts until after it: up to then the state is unknown.
         let unknown = restarts.clone().filter(|_| late_s > 0.0);
@@ -308,9 +341,7 @@ impl Plant {
             angle: self.equations.angle(state.angle_rad),
             ..Instant::default()
         };
-        let [[by_current, by_speed], _] = self.equations.a;
-        let linear = by_current * state.current_a + by_speed * state.speed_rad_s;
-        let rate = direction * (linear + self.equations.forcing(state, &at)[0]);
+        let rate = direction * self.equations.current_rate(state, &at);
         let rise_s = missing_a / rate;
         let most_s = self.longest_step_s;
         Some(if rate > 0.0 { rise_s.min(most_s) } else { most_s })
@@ -319,7 +350,7 @@ impl Plant {
     /// Changes the state, and the states of the sensors by as much, so that the readings change with it.
     fn correct(&mut self, state: &mut State, current_a: f64, speed_rad_s: f64) {
         if let Some(sensors) = &mut self.sensors {
-            sensors.correct(current_a, speed_rad_s);
+            sensors.correct(&[current_a], &[speed_rad_s]);
         }
         if let Some(two_mass) = &mut self.two_mass {
             two_mass.correct(speed_rad_s);
@@ -329,7 +360,7 @@ impl Plant {
 
     fn readings(&self, state: &State) -> [f64; 2] {
         let direct = [state.current_a, state.speed_rad_s];
-        self.sensors.as_ref().map_or(direct, Sensors::read)
+        self.sensors.as_ref().map_or(direct, |sensors| sensors.read().map(|[value]| value))
     }
 
     /// Continues from the measurement after a hole in the input.
@@ -374,12 +405,28 @@ impl Plant {
                 angle: self.equations.angle(state.angle_rad),
                 ..Instant::default()
             };
+            let before = self.trace.is_some().then_some(*state);
+            let rate_a_per_s =
+                self.sensors.as_ref().map(|_| self.equations.current_rate(state, &at));
+            let from_a = state.current_a;
             self.resolved_step(state, at, h);
+            if let (Some(trace), Some(before)) = (&mut self.trace, before) {
+                trace.push(SubStep {
+                    begin_s,
+                    length_s: h,
+                    input,
+                    from: [before.current_a, before.speed_rad_s],
+                    to: [state.current_a, state.speed_rad_s],
+                    directions: [before.direction(), state.direction()],
+                });
+            }
             if angle.is_empty() {
                 state.angle_rad += state.speed_rad_s * h;
             }
             if let Some(sensors) = &mut self.sensors {
-                sensors.follow(reading(begin_s + h, state));
+                let transient = rate_a_per_s
+                    .and_then(|rate| self.equations.transient(rate, state.current_a - from_a, h));
+                sensors.follow_with(reading(begin_s + h, state), transient);
             }
         }
     }

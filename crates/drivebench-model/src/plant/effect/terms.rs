@@ -270,7 +270,7 @@ impl Path {
     }
 
     pub fn delays_command(&self) -> bool {
-        self.command_delay_s > 0.0 || self.start_delay_s > 0.0 || self.restart_delay_s > 0.0
+        self.command_delay_s != 0.0 || self.start_delay_s > 0.0 || self.restart_delay_s > 0.0
     }
 
     /// Whether the sensors have no dynamics and no offsets.

@@ -5,8 +5,8 @@ use crate::plant::model::{Model, ModelError};
 use crate::plant::motor::MotorKey;
 use crate::plant::propagator::M2;
 use crate::plant::run_scales::RunScales;
-use crate::plant::scenario::Input;
-use crate::sample::Sensors;
+use crate::plant::scenario::{Input, Scenario};
+use crate::plant::simulate::Transient;
 
 /// States that all effects of one model may have together.
 pub(super) const MOST_STATES: usize = 6;
@@ -106,6 +106,8 @@ pub(super) struct Equations {
     states: usize,
     pub(super) path: Path,
     own_path: Path,
+    /// Of the link, in a run with stamps of the host.
+    input_delay_s: f64,
     pub(super) coupling: Option<Coupling>,
     pub(super) needs_angle: bool,
     /// Load torque in addition to the model's, against positive motion.
@@ -165,6 +167,7 @@ impl Equations {
             motor,
             path,
             own_path: path,
+            input_delay_s: model.input_delay_s.unwrap_or(0.0),
             coupling,
             needs_angle: (model.effects.iter()).any(|active| active.effect.card().needs_angle),
             inverse_inertia: 1.0 / inertia,
@@ -186,9 +189,12 @@ impl Equations {
         self.motor = self.motor.with(supply_v, scales);
     }
 
-    /// The path of the model, with what is known of the run's sensors.
-    pub(super) fn set_sensors(&mut self, sensors: Sensors) {
-        self.path = self.own_path.plus(Path::of(sensors));
+    /// The path of the model, with what is known of the run's sensors and of its link.
+    pub(super) fn set_path(&mut self, run: &Scenario) {
+        self.path = self.own_path.plus(Path::of(run.sensors));
+        if run.is_stamped_by_host() {
+            self.path.command_delay_s += self.input_delay_s;
+        }
     }
 
     pub(super) fn is_linear(&self) -> bool {
@@ -247,6 +253,31 @@ impl Equations {
             voltage_v += sums.current_rate_gain * inductive_v;
         }
         [voltage_v * self.per_volt, acceleration]
+    }
+
+    /// Rate of the current, A/s, under a voltage.
+    pub(super) fn current_rate(&self, state: &State, at: &Instant) -> f64 {
+        let [[by_current, by_speed], _] = self.a;
+        let linear = by_current * state.current_a + by_speed * state.speed_rad_s;
+        linear + self.forcing(state, at)[0]
+    }
+
+    /// The part of a current that settles within an interval, from its rate at the begin and its change; `None` where it hardly
+    /// settles, or where another input than a voltage drives.
+    pub(super) fn transient(
+        &self,
+        rate_a_per_s: f64,
+        change_a: f64,
+        interval_s: f64,
+    ) -> Option<Transient<1>> {
+        let time_constant_s = -1.0 / self.a[0][0];
+        if self.input != Input::Voltage || interval_s < 0.5 * time_constant_s {
+            return None;
+        }
+        let share = 1.0 - (-interval_s / time_constant_s).exp();
+        let size_a =
+            (rate_a_per_s - change_a / interval_s) / (share / interval_s - 1.0 / time_constant_s);
+        Some(Transient { size_a: [size_a], time_constant_s })
     }
 
     /// The share by which effects that change the inertia reduce any acceleration.

@@ -266,10 +266,27 @@ fn after_a_long_hole_a_simulation_restarts_from_the_measurement() {
 }
 
 #[test]
+fn the_offset_of_stamps_acts_in_runs_that_the_host_has_stamped() {
+    let events = vec![(0.0, 0.0), (0.1, 60.0), (0.5, -40.0), (0.9, 0.0)];
+    let mut run = scenario(events, 1e-3, 1200);
+    for offset_s in [7e-4, -7e-4] {
+        let offset = Model { input_delay_s: Some(offset_s), ..model(&[]) };
+        run.time_half_width_s.clear();
+        assert_eq!(simulate(&offset, &run), simulate(&model(&[]), &run));
+        let mut later = run.clone();
+        later.events[1..].iter_mut().for_each(|event| event.0 += offset_s);
+        run.time_half_width_s = vec![1e-4; run.samples()];
+        let [di, dw] = differences(&simulate(&offset, &run), &simulate(&model(&[]), &later));
+        assert!(di < 1e-9 && dw < 1e-9, "{di} {dw}");
+    }
+}
+
+#[test]
 fn delays_and_offsets_leave_the_equations_as_exact_as_they_are() {
     let events = vec![(0.0, 0.0), (0.1, 60.0), (0.5, -40.0), (0.9, 0.0)];
     let run = scenario(events, 1e-3, 1200);
-    let delayed = run.with_input_delayed(7e-4);
+    let mut delayed = run.clone();
+    delayed.events[1..].iter_mut().for_each(|event| event.0 += 7e-4);
     let drag = ("viscous_friction", &[3e-4][..]);
     let drop = ("voltage_drop", &[1.0][..]);
     let delay = ("command_delay", &[7e-4][..]);
