@@ -26,7 +26,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     part.candidate.in_model = true;
     let mut effects = model.effects.iter();
     let values = effects.find(|active| active.id() == id)?.values_or_guess();
-    let along = tangent::are_tangents(model, scenario);
+    let along = tangent::are_tangents(model);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
         form.fixed_size(model.without_effect(id).ok()?, true);
@@ -261,8 +261,8 @@ pub(super) fn columns_of(sources: &[&Source], runs: &[LinearisedRun<'_>]) -> Vec
                 vec![(k, run.difference(model, run.scenario, step))]
             }
             Work::Tangents(some) => {
-                // All of them cost as much as 10 exact sub-steps a sample.
-                run.count(10 * run.scenario.samples() as u64);
+                // All of them cost as much as 10 exact sub-steps an interval.
+                run.count(10 * run.grid.motions.len() as u64);
                 let (numbers, tangents): (Vec<usize>, Vec<&Tangent>) = some.into_iter().unzip();
                 numbers.into_iter().zip(run.tangent_columns(&tangents)).collect()
             }

@@ -8,9 +8,10 @@
 use super::process_noise::{FORM_SHARE, FormErrors};
 use drivebench_identify::stamps::spread;
 use drivebench_model::numerics::propagator::{LinearPart, Propagator};
-use drivebench_model::numerics::statistics::{largest, median};
+use drivebench_model::numerics::statistics::{largest, median, median_step};
 use drivebench_model::plant::{
-    Correction, Input, Model, MotorKey, Plant, Scenario, State, Trajectory, UnknownInput,
+    Correction, Input, Model, MotorKey, Path, Plant, Scenario, State, SubStep, Trajectory,
+    UnknownInput,
 };
 
 /// Noise parameters of a run.
@@ -27,6 +28,9 @@ pub(crate) struct Noise {
     pub input: f64,
     /// Prior deviation of the logarithm of the sensors' noise.
     pub sensors: f64,
+    /// Random errors of host stamps, as a share of those of independent instants within their half-widths: what a line delays
+    /// alike at every exchange is an offset of the stamps, a nuisance of its own.
+    pub stamps: f64,
 }
 
 /// Sampling periods without a value of torque or speed after which the speed is treated as unknown: a zero-order hold over a
@@ -118,6 +122,8 @@ pub(super) struct Transition {
     pub(super) restarts: bool,
     /// Part of `added_variance` by gaps of the record: unknown voltage, or a state reset to a measurement.
     pub(super) unobserved: [f64; 2],
+    /// Variances added where commands act at independent instants within their half-widths.
+    pub(super) edges: [f64; 2],
     /// Covariance of current and speed in `added_variance`: one unknown voltage moves both.
     pub(super) covariance: f64,
 }
@@ -175,8 +181,11 @@ pub(super) struct FilteredRun {
     pub(super) direction: Vec<f64>,
     /// Innovations over their standard deviations; zero where not measured.
     pub(super) white: Vec<[f64; 2]>,
-    /// Variances of the samples by errors of their times.
+    /// Variances of the samples by independent errors of their times within the half-widths.
     pub(super) stamp_variance: Vec<[f64; 2]>,
+    /// The sub-steps of the model, where an interval between two samples is too long for one transition of its deviations, until the
+    /// grid is made of them.
+    pub(super) trace: Option<Vec<SubStep>>,
 }
 
 /// Covariance matrix of the four states.
@@ -228,6 +237,8 @@ struct Filter<'a> {
     /// Error of the times of commands, and delay of the model's commands, s.
     command_jitter_s: f64,
     command_delay_s: f64,
+    /// The path of the model, with what is known of the run's sensors.
+    path: Path,
     /// Ends of the holes behind which the model begins again; the first `holes_passed` lie behind.
     hole_ends_s: Vec<f64>,
     holes_passed: usize,
@@ -269,12 +280,14 @@ impl<'a> Filter<'a> {
         };
         let slow_rad_s = REVERSAL_SHARE * largest(&scenario.speed_rad_s);
         let forms = FormErrors::of(model, scenario);
-        let command_delay_s = forms.terms.iter().map(|terms| terms.path().command_delay_s);
+        let paths = forms.terms.iter().map(|terms| terms.path());
+        let path = paths.fold(Path::of(scenario.sensors), Path::plus);
         Some(Self {
             scenario,
             noise,
             dynamics,
-            command_delay_s: command_delay_s.sum(),
+            command_delay_s: path.command_delay_s + model.input_delay_in(scenario),
+            path,
             forms,
             p,
             load_n_m: 0.0,
@@ -382,7 +395,6 @@ impl<'a> Filter<'a> {
         &self,
         [interval_s, time_s]: [f64; 2],
         moved: [f64; 2],
-        edges_v2: f64,
         speed_rad_s: f64,
     ) -> ([f64; 2], [f64; 2], f64) {
         let from_s = time_s - interval_s;
@@ -390,7 +402,7 @@ impl<'a> Filter<'a> {
         let one_v2 = holes_v2 + self.limits_v2(from_s, time_s);
         let [sampled_v2, uniform_v2] = self.sampled_v2(from_s, time_s);
         let unobserved = moved.map(|moved| moved * moved * holes_v2);
-        let [current, speed] = moved.map(|moved| moved * moved * (one_v2 + edges_v2));
+        let [current, speed] = moved.map(|moved| moved * moved * one_v2);
         let current = current + moved[0] * moved[0] * (uniform_v2 - sampled_v2);
         let slow = speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
         let held_s = time_s - self.scenario.events[self.event].0;
@@ -428,6 +440,7 @@ impl<'a> Filter<'a> {
         let end_s = self.hole_ends_s.get(self.holes_passed);
         let restarts = end_s.is_some_and(|to_s| *to_s <= time_s);
         self.holes_passed += usize::from(restarts);
+        let moved = propagator.apply([0.0; 2], [inductance, 0.0]);
         let (added_variance, unobserved, covariance) = if restarts {
             // A signal of unknown noise (infinite) is not used.
             let levels = [self.noise.current_a, self.noise.speed_rad_s];
@@ -435,8 +448,7 @@ impl<'a> Filter<'a> {
             let measured = known.map(|level| level * level);
             (measured, measured, 0.0)
         } else {
-            let moved = propagator.apply([0.0; 2], [inductance, 0.0]);
-            self.added_variance([interval_s, time_s], moved, edges_v2, state.speed_rad_s)
+            self.added_variance([interval_s, time_s], moved, state.speed_rad_s)
         };
         if restarts {
             self.ringing = self.most_ringing;
@@ -449,6 +461,7 @@ impl<'a> Filter<'a> {
             added_variance,
             restarts,
             unobserved,
+            edges: if restarts { [0.0; 2] } else { moved.map(|moved| moved * moved * edges_v2) },
             covariance,
             interval_s,
             direction: now,
@@ -474,11 +487,13 @@ impl<'a> Filter<'a> {
     /// their times.
     fn gains(&mut self, sample: usize, reading: [f64; 2], rests: bool) -> (Update, [f64; 2]) {
         let (mut update, mut stamp_variance) = (Update::default(), [0.0; 2]);
+        let stamps = self.noise.stamps.powi(2);
         let [current, speed] = measured(self.scenario, self.noise, sample);
         let mut moved = 0.0;
         if let Some(value) = current {
             stamp_variance[0] = spread(self.scenario, &self.scenario.current_a, sample).powi(2);
-            update.current = self.gain(0, self.noise.current_a.powi(2) + stamp_variance[0]);
+            update.current =
+                self.gain(0, self.noise.current_a.powi(2) + stamps * stamp_variance[0]);
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
@@ -489,7 +504,8 @@ impl<'a> Filter<'a> {
                 self.p[1][1] += e * e;
             }
             stamp_variance[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
-            update.speed = self.gain(1, self.noise.speed_rad_s.powi(2) + stamp_variance[1]);
+            update.speed =
+                self.gain(1, self.noise.speed_rad_s.powi(2) + stamps * stamp_variance[1]);
         }
         (update, stamp_variance)
     }
@@ -519,6 +535,11 @@ pub(super) fn filter_run(
 ) -> Option<(FilterGains, FilteredRun)> {
     let mut filter = Filter::new(model, scenario, start, noise)?;
     let mut plant = Plant::new(model, scenario.input).ok()?;
+    let path = filter.path;
+    let is_refined = plant.is_of_one_inertia() && needs_refinement(model, scenario, &path);
+    if is_refined {
+        plant = plant.traced();
+    }
     let n = scenario.samples();
     let mut gains =
         FilterGains { command_delay_s: filter.command_delay_s, ..FilterGains::default() };
@@ -538,7 +559,7 @@ pub(super) fn filter_run(
         gains.transitions.push(transition);
         let before = [state.current_a, state.speed_rad_s];
         let after = [before[0] + change[0], before[1] + change[1]];
-        out.rates.push(rates);
+        out.rates.push(rates_of_readings(rates, &path, state, reading));
         out.stamp_variance[sample] = stamp_variance;
         out.before.push(before);
         out.after.push(after);
@@ -551,7 +572,35 @@ pub(super) fn filter_run(
     };
     plant.follow_into(scenario, start, &mut trajectory, &mut step);
     gains.work = plant.work() + FOLLOWED_COST * n as u64;
+    out.trace = is_refined.then(|| plant.into_trace());
     Some((gains, out))
+}
+
+/// Whether deviations need more than one transition between two samples: with a lag between motion and measurement, or with a measured
+/// current that settles within the interval. A rate of the current that is constant over it holds up to half of the armature's time
+/// constant; the speed integrates the current.
+fn needs_refinement(model: &Model, scenario: &Scenario, path: &Path) -> bool {
+    let settles = || {
+        let interval_s = median_step(&scenario.sample_time_s);
+        let constant_s = model.motor.electrical_time_constant_s();
+        scenario.current_a.iter().any(|current_a| current_a.is_finite())
+            && !constant_s.is_some_and(|constant_s| interval_s < 0.5 * constant_s)
+    };
+    let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
+    lags_s > 0.0 || path.averages_current || (scenario.input == Input::Voltage && settles())
+}
+
+/// Rates of the readings, A/s and rad/s2, from those of the motion: the output of a filter changes by its distance from the input.
+fn rates_of_readings(rates: [f64; 2], path: &Path, state: &State, reading: [f64; 2]) -> [f64; 2] {
+    let behind_a = state.current_a + path.current_offset_a - reading[0];
+    let delayed_rad_s = state.speed_rad_s + path.speed_offset_rad_s - rates[1] * path.speed_delay_s;
+    let of_filter = |behind: f64, filter_s: f64, rate: f64| {
+        if filter_s > 0.0 { behind / filter_s } else { rate }
+    };
+    [
+        of_filter(behind_a, path.current_filter_s, rates[0]),
+        of_filter(delayed_rad_s - reading[1], path.speed_filter_s, rates[1]),
+    ]
 }
 
 /// Cost of a measurement update, in sub-steps of simulation: measured on records at 1 kHz and at 100 Hz.
@@ -623,12 +672,14 @@ pub(super) fn predicted_covariance(
             out[column][row] = out[row][column];
         }
     }
-    out[0][0] += transition.added_variance[0];
+    let edges = transition.edges.map(|variance| noise.stamps.powi(2) * variance);
+    out[0][0] += transition.added_variance[0] + edges[0];
     out[0][1] += transition.covariance * moving;
     out[1][0] += transition.covariance * moving;
     let ringing = transition.form[2] * dynamics.ringing_s * transition.interval_s;
     out[1][1] +=
-        (transition.added_variance[1] + ringing * dynamics.inverse_inertia.powi(2)) * moving;
+        (transition.added_variance[1] + edges[1] + ringing * dynamics.inverse_inertia.powi(2))
+            * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + transition.form[1]) * (1.0 - decay * decay);
     out[3][3] +=
         (noise.input.powi(2) * transition.input_share + transition.form[0]) * (1.0 - keeps * keeps);
@@ -663,6 +714,7 @@ pub(super) const QUIET: Noise = Noise {
     correlation_s: 0.5,
     input: 1e-6,
     sensors: 0.1,
+    stamps: 1.0,
 };
 
 /// The same besides a disturbance of the load and an error of the voltage.

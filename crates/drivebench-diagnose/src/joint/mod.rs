@@ -29,6 +29,7 @@ pub(super) mod eligible;
 pub(super) mod events;
 pub(super) mod expected_information;
 pub(super) mod free_run;
+mod grid;
 mod kalman;
 pub(super) mod marginal;
 mod memory;

@@ -36,6 +36,7 @@ pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -
         input: (1e-4 * largest_input).max(f64::MIN_POSITIVE),
         // What they show at rest.
         sensors: 0.1,
+        stamps: 1.0,
     };
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
@@ -156,11 +157,13 @@ fn transition_of(
         if transition.restarts {
             block.restarts = true;
             (block.added_variance, block.unobserved, block.covariance) = ([0.0; 2], [0.0; 2], 0.0);
+            block.edges = [0.0; 2];
         }
         block.covariance += transition.covariance;
         for signal in 0..2 {
             block.added_variance[signal] += transition.added_variance[signal];
             block.unobserved[signal] += transition.unobserved[signal];
+            block.edges[signal] += transition.edges[signal];
         }
         block.interval_s += transition.interval_s;
         let last = sample.checked_sub(1).map(|last| run.filtered.direction[last]);
@@ -205,7 +208,7 @@ impl BlockAverages {
                     continue;
                 }
                 let sigma = [noise.current_a, noise.speed_rad_s][signal];
-                let stamp_variance = self.stamp_variance[block][signal];
+                let stamp_variance = noise.stamps.powi(2) * self.stamp_variance[block][signal];
                 let s = p[signal][signal] + (sigma * sigma + stamp_variance / count) / count;
                 let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);
                 p = updated_covariance(&p, &gain, signal);
@@ -272,6 +275,9 @@ pub(super) fn maximum_likelihood(
     };
     let mut unknowns = NOISE_PARAMETERS.to_vec();
     unknowns.retain(|unknown| unknown.log(floor).is_finite());
+    if runs.iter().all(|run| run.scenario.typical_half_width_s().is_none()) {
+        unknowns.retain(|unknown| *unknown != NoiseParameter::Stamps);
+    }
     let found = coordinate_search(start, &unknowns, floor, by_voltage, &log_likelihood);
     // With a coupling in the model the error of its form has the spectrum of a disturbance: no test of significance.
     let mut candidates = linear.candidates.iter();
@@ -322,14 +328,16 @@ enum NoiseParameter {
     Correlation,
     Current,
     Speed,
+    Stamps,
 }
 
-const NOISE_PARAMETERS: [NoiseParameter; 5] = [
+const NOISE_PARAMETERS: [NoiseParameter; 6] = [
     NoiseParameter::Disturbance,
     NoiseParameter::Input,
     NoiseParameter::Correlation,
     NoiseParameter::Current,
     NoiseParameter::Speed,
+    NoiseParameter::Stamps,
 ];
 
 impl NoiseParameter {
@@ -340,6 +348,7 @@ impl NoiseParameter {
             Self::Correlation => &mut noise.correlation_s,
             Self::Current => &mut noise.current_a,
             Self::Speed => &mut noise.speed_rad_s,
+            Self::Stamps => &mut noise.stamps,
         }
     }
 
@@ -357,6 +366,8 @@ impl NoiseParameter {
             Self::Correlation => (0.04 * floor.correlation_s, 6.0 * floor.correlation_s),
             Self::Current => (floor.current_a / sensors, floor.current_a * sensors),
             Self::Speed => (floor.speed_rad_s / sensors, floor.speed_rad_s * sensors),
+            // A smaller random error of stamps is not distinguished from the noise of the sensors.
+            Self::Stamps => (0.03, 1.0),
         };
         let mut next = *noise;
         *self.of(&mut next) = log.exp().clamp(least, most);
@@ -446,6 +457,8 @@ mod tests {
     use std::cell::Cell;
 
     use super::*;
+    use crate::joint::columns::linearise;
+    use crate::joint::events::Hypothesis;
     use crate::joint::kalman::{DISTURBED, QUIET, hole};
     use crate::kit::nameplate;
     use drivebench_model::plant::State;
@@ -484,6 +497,25 @@ mod tests {
         count.set(0);
         coordinate_search(found, &NOISE_PARAMETERS, &floor, true, &likelihood);
         assert!(count.get() < 16, "{}", count.get());
+    }
+
+    #[test]
+    fn stamps_err_less_than_their_half_widths_allow_where_a_line_delays_alike() {
+        let model = nameplate();
+        let events = vec![(0.0, 20.0), (0.4, 60.0), (0.8, 30.0), (1.2, 70.0), (1.6, 20.0)];
+        let mut scenario = record(&model, events, 1e-2, 2.0, 3);
+        scenario.time_half_width_s = vec![2e-3; scenario.samples()];
+        let noise = Noise { input: 1e-3, disturbance_n_m: 1e-4, ..QUIET };
+        let runs = [LinearisedRun::new(&model, &scenario, State::default(), noise).unwrap()];
+        let linear = linearise(&Hypothesis::of(&model), &[], &runs, false).unwrap();
+        let reduced = Reduced::new(linear, 1.0, true).unwrap();
+        let found = maximum_likelihood(&runs, &reduced, &[], &noise, noise);
+        assert!(found.stamps < 0.3, "{found:?}");
+        // Stamps of the drive have no such error.
+        scenario.time_half_width_s.clear();
+        let runs = [LinearisedRun::new(&model, &scenario, State::default(), noise).unwrap()];
+        let found = maximum_likelihood(&runs, &reduced, &[], &noise, noise);
+        assert_eq!(found.stamps.to_bits(), noise.stamps.to_bits());
     }
 
     #[test]

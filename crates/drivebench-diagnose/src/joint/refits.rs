@@ -56,14 +56,6 @@ pub(super) fn bar(linear: &mut Linear, verdicts: &[RefitVerdict], one: Option<&'
     }
 }
 
-/// Excludes the effects of fixed size that the model lacks.
-pub(super) fn bar_fixed_sizes(linear: &mut Linear) {
-    let candidates = linear.candidates.iter_mut();
-    for candidate in candidates.filter(|own| own.has_fixed_size() && !own.in_model) {
-        candidate.log_odds = BARRED_LOG_ODDS;
-    }
-}
-
 /// Effects of `hypothesis` that the linear solution removed although the refit `next` without them is clearly worse: the linear
 /// solution is wrong for effects that are not proportional to their size, for example a delay that shifts impacts.
 pub(super) fn needed(
@@ -312,22 +304,6 @@ mod tests {
             let machine = gaps(extra_ohm, least_boundary_a);
             let simpler = weighed([&machine; 2], &brushes, |_| {}, |own| own.simpler(&[]));
             assert_eq!(simpler.is_some(), stands, "{extra_ohm} ohm");
-        }
-    }
-
-    #[test]
-    fn a_coupling_is_barred_unless_the_model_has_it() {
-        let id = "elastic_coupling";
-        for (model, is_barred) in
-            [(nameplate(), true), (nameplate().with_effect(id).unwrap(), false)]
-        {
-            let odds = |linear: &mut Linear| {
-                bar_fixed_sizes(linear);
-                let mut wholes = linear.candidates.iter().filter(|own| own.has_fixed_size());
-                let found = wholes.any(|own| own.id == id && own.log_odds <= BARRED_LOG_ODDS);
-                assert_eq!(found, is_barred);
-            };
-            weighed([&model; 2], &[id], odds, |_| {});
         }
     }
 

@@ -1,10 +1,10 @@
 //! Run linearised along the Kalman filter of one model: innovations, and the transition of deviations from its trajectory.
 
+use super::grid::Grid;
 use super::kalman::{Dynamics, FilterGains, FilteredRun, Noise, filter_run, innovations_with};
-use super::process_noise::constants;
 use super::tangent::{Step, Tangent, propagate};
 use crate::work::Work;
-use drivebench_model::plant::{ActiveEffect, Input, Instant, Model, Scenario, ShaftAngle, State};
+use drivebench_model::plant::{ActiveEffect, Model, Scenario, State};
 
 pub(super) struct LinearisedRun<'a> {
     pub(super) model: Model,
@@ -16,10 +16,10 @@ pub(super) struct LinearisedRun<'a> {
     pub(super) gains: FilterGains,
     pub(super) filtered: FilteredRun,
     pub(super) dynamics: Dynamics,
-    /// The middle of the interval before each sample.
-    pub(super) instants: Vec<Instant>,
-    /// Transition of deviations over that interval.
+    /// Transitions of deviations between samples.
     pub(super) steps: Vec<Step>,
+    /// The intervals over which tangents are propagated.
+    pub(super) grid: Grid,
     /// Counter of the simulated sub-steps.
     work: Option<&'a Work>,
 }
@@ -44,7 +44,7 @@ impl<'a> LinearisedRun<'a> {
         work: Option<&'a Work>,
     ) -> Option<Self> {
         let model = with_events(model, &events);
-        let (gains, filtered) = filter_run(&model, scenario, start, &noise)?;
+        let (gains, mut filtered) = filter_run(&model, scenario, start, &noise)?;
         let mut white = filtered.white.iter().flatten();
         if !white.all(|white| white.is_finite()) {
             return None;
@@ -58,9 +58,11 @@ impl<'a> LinearisedRun<'a> {
                 Step::identity()
             }
         });
+        let grid = Grid::of(&model, scenario, &dynamics, &noise, (&gains, &filtered));
+        filtered.trace = None;
         Some(Self {
             steps: steps.collect(),
-            instants: instants(&model, scenario, &filtered),
+            grid,
             model,
             events,
             scenario,
@@ -148,33 +150,4 @@ pub(super) fn with_events(model: &Model, events: &[ActiveEffect]) -> Model {
 #[expect(clippy::cast_possible_truncation, reason = "columns are stored in single precision")]
 const fn single(value: f64) -> f32 {
     value as f32
-}
-
-fn instants(model: &Model, scenario: &Scenario, filtered: &FilteredRun) -> Vec<Instant> {
-    let angles = scenario.shaft_angle();
-    let motor = constants(model, scenario);
-    let instant = |sample: usize| {
-        let from = sample.saturating_sub(1);
-        let mid_s = 0.5 * (scenario.sample_time_s[from] + scenario.sample_time_s[sample]);
-        let next = angles.partition_point(|point| point.0 <= mid_s);
-        let angle_rad = match (next.checked_sub(1).map(|k| angles[k]), angles.get(next)) {
-            (Some(before), Some(after)) => {
-                before.1 + (mid_s - before.0) / (after.0 - before.0) * (after.1 - before.1)
-            }
-            (Some(point), None) => point.1,
-            (None, after) => after.map_or(0.0, |after| after.1),
-        };
-        let mean = |k: usize| 0.5 * (filtered.after[from][k] + filtered.before[sample][k]);
-        let input = scenario.input_at(mid_s);
-        let by_voltage = scenario.input == Input::Voltage;
-        Instant {
-            time_s: mid_s - scenario.begin_s(),
-            voltage_v: input,
-            current_a: if by_voltage { mean(0) } else { input },
-            speed_rad_s: mean(1),
-            angle: ShaftAngle::at(angle_rad),
-            ..motor
-        }
-    };
-    (0..scenario.samples()).map(instant).collect()
 }

@@ -11,7 +11,7 @@ use super::free_run::{disturbance_error, unobserved};
 use super::kalman::Noise;
 use super::noise::maximum_likelihood;
 use super::prediction_error::fit;
-use super::refits::{RefitVerdict, Weighed, bar, bar_fixed_sizes, keep_doubts, needed};
+use super::refits::{RefitVerdict, Weighed, bar, keep_doubts, needed};
 use super::regression::{Candidate, Linear};
 use super::residuals::{excess_of, unknown_shares};
 use super::run::{LinearisedRun, squares};
@@ -20,7 +20,7 @@ use super::solution::{FittedEvent, fitted_events, linearised_runs, present, with
 use super::stepwise::{forward_selection, starting_model};
 use crate::progress::{Event as Notice, Progress, Stage};
 use crate::work::Work;
-use drivebench_model::plant::{Effect, Input, Model, Scenario, State};
+use drivebench_model::plant::{Effect, Input, Model, ParameterSpec, Scenario, State};
 
 /// Limits of the iteration, each in rounds of selection and refit.
 struct Limits {
@@ -31,10 +31,17 @@ struct Limits {
     of_noise: usize,
     /// Further rounds because an event time has changed.
     of_event_times: usize,
+    /// Probability below which an effect of fixed size is left out of the next rounds.
+    improbable: f64,
 }
 
-const LIMITS: Limits =
-    Limits { with_voltage_input: 12, with_torque_input: 5, of_noise: 3, of_event_times: 3 };
+const LIMITS: Limits = Limits {
+    with_voltage_input: 12,
+    with_torque_input: 5,
+    of_noise: 3,
+    of_event_times: 3,
+    improbable: 0.01,
+};
 
 /// Result of the search.
 pub(super) struct SearchResult {
@@ -97,6 +104,20 @@ fn names(linear: &Linear, set: &Set) -> Names {
     named.collect()
 }
 
+fn of_fixed_size(eligible: &[&'static dyn Effect]) -> Vec<&'static str> {
+    let has_size =
+        |effect: &dyn Effect| effect.parameters().iter().any(ParameterSpec::is_coefficient);
+    eligible.iter().filter(|effect| !has_size(**effect)).map(|effect| effect.card().id).collect()
+}
+
+fn improbable(linear: &Linear, posterior: &Posterior) -> Vec<&'static str> {
+    let candidates = linear.candidates.iter().zip(&posterior.probability);
+    let is_improbable = |(candidate, p): &(&Candidate, &f64)| {
+        candidate.has_fixed_size() && !candidate.in_model && **p < LIMITS.improbable
+    };
+    candidates.filter(is_improbable).map(|(candidate, _)| candidate.id).collect()
+}
+
 /// Runs of a diagnosis, their initial states and the index of the held-out run.
 #[derive(Clone, Copy)]
 pub(super) struct Runs<'a> {
@@ -144,8 +165,12 @@ pub(super) fn search(
         verdicts: Vec::new(),
         replaced: None,
         last: Hypothesis::of(models[0]),
+        improbable: Vec::new(),
     };
-    search.rounds(models, progress).or_else(|| search.result_at_last())
+    search.rounds(models, progress).or_else(|| {
+        search.improbable.clear();
+        search.result_at_last()
+    })
 }
 
 /// State of the iteration.
@@ -161,6 +186,10 @@ struct Search<'a> {
     replaced: Option<&'static str>,
     /// The last model that could be simulated and linearised, initially the fitted one.
     last: Hypothesis,
+    /// Effects of fixed size that the last selection found improbable, and all of them far from the data, where the linear solution
+    /// does not hold for them: each of their forms costs a simulation of every run, so that they are left out until the set is
+    /// stable.
+    improbable: Vec<&'static str>,
 }
 
 impl<'a> Search<'a> {
@@ -176,11 +205,13 @@ impl<'a> Search<'a> {
         runs: &[LinearisedRun<'_>],
         is_far: bool,
     ) -> Option<Linear> {
-        let mut linear = linearise(hypothesis, self.eligible, runs, !is_far)?;
+        let is_tried = |effect: &&&'static dyn Effect| {
+            let id = effect.card().id;
+            !self.improbable.contains(&id) || hypothesis.model.has(id)
+        };
+        let eligible: Vec<_> = self.eligible.iter().filter(is_tried).copied().collect();
+        let mut linear = linearise(hypothesis, &eligible, runs, !is_far)?;
         bar(&mut linear, &self.verdicts, self.replaced);
-        if is_far {
-            bar_fixed_sizes(&mut linear);
-        }
         Some(linear)
     }
 
@@ -195,8 +226,7 @@ impl<'a> Search<'a> {
     /// Linearises, selects and refits until set and noise are stable. With a torque input no forward selection is needed: the
     /// equation of motion is linear in all coefficients, however far the model is from the data.
     fn rounds(&mut self, models: [&Model; 2], progress: Progress<'_>) -> Option<SearchResult> {
-        let (eligible, floor) = (self.eligible, self.floor);
-        let scenarios = self.runs.scenarios;
+        let (eligible, floor, scenarios) = (self.eligible, self.floor, self.runs.scenarios);
         let by_voltage = scenarios[0].input == Input::Voltage;
         let given = models[0].effect_ids();
         let mut hypothesis = Hypothesis::of(models[0]);
@@ -206,9 +236,13 @@ impl<'a> Search<'a> {
         }
         (self.noise, self.is_near) = noise_of_model(&hypothesis, eligible, self.runs, [floor; 2])?;
         let is_near = self.is_near;
+        if by_voltage && !is_near {
+            self.improbable = of_fixed_size(eligible);
+        }
         let (mut visited, mut moves): (Vec<Names>, usize) = (vec![], 0);
         let rounds = [LIMITS.with_torque_input, LIMITS.with_voltage_input][usize::from(by_voltage)];
-        for round in 0..rounds {
+        let mut round = 0;
+        while round < rounds {
             let is_far = round == 0 && !is_near;
             let mut runs = self.linearised_runs(&hypothesis)?;
             let linear = self.linearised(&hypothesis, &runs, is_far)?;
@@ -258,6 +292,12 @@ impl<'a> Search<'a> {
             let is_stable = stays && is_settled && (is_complete || was_visited(&visited, &set));
             // With a torque input the equation of motion is linear, and a refit has nothing to refute.
             let is_last = round + 1 == rounds || self.runs.work.is_spent();
+            if (is_stable || is_last) && !self.improbable.is_empty() {
+                self.improbable.clear();
+                continue;
+            }
+            round += 1;
+            self.improbable.extend(improbable(&reduced.linear, &posterior));
             if by_voltage && is_stable && !is_last {
                 let weighed = Weighed {
                     hypothesis: &hypothesis,

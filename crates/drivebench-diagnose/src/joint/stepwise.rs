@@ -21,7 +21,7 @@ use drivebench_model::plant::{ActiveEffect, Effect, Enters, Model};
 type Step = (Hypothesis, f64);
 
 /// Adds at most four effects, each the one with the least sum of squares after its refit, until the linear solution holds or none
-/// reduces the squares by 10 %. The steps are found on the first run; every run must be simulable with them.
+/// reduces the squares by 10 % (where it holds already, 100). The steps are found on the first run; every run must be simulable with them.
 pub(super) fn forward_selection(
     mut hypothesis: Hypothesis,
     eligible: &[&'static dyn Effect],
@@ -50,7 +50,9 @@ pub(super) fn forward_selection(
             found = steps.min_by(|a, b| a.1.total_cmp(&b.1));
         }
         let is_simulated = |next: &Hypothesis| all.linearised_runs(next, noise).is_some();
-        let is_worth = |step: &Step| step.1 < 0.9 * now && is_simulated(&step.0);
+        // Near the data a delay counts by its likelihood, 50 nats: one that acts once in a run is a small share of the squares.
+        let most = if is_far { 0.9 * now } else { now - 100.0 };
+        let is_worth = |step: &Step| step.1 < most && is_simulated(&step.0);
         let Some(step) = found.filter(is_worth) else {
             break;
         };

@@ -1,19 +1,21 @@
 //! Forward sensitivity analysis of a linearised run (Cacuci, J. Math. Phys. 22, 1981): response of the innovations to small forcings
 //! along its trajectory, eight at a time; and the forcings that are the derivatives by parameters of the model.
 
+use std::array::from_fn;
+
+use super::grid::Grid;
 use super::kalman::{Dynamics, Transition, Update};
 use super::process_noise::{combined, terms_of};
 use super::run::LinearisedRun;
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::median_step;
 use drivebench_model::plant::effect::{Axis, Harmonic};
 use drivebench_model::plant::{
-    Effect, Input, Instant, Model, MotorKey, Path, Scenario, Sums, Terms,
+    Effect, Instant, Model, MotorKey, Path, Reading, SensorPath, Sums, Terms,
 };
 
 /// Deviations that are propagated at once, so that the coefficients of a step are read once and vector registers are full.
 pub(super) const LANES: usize = 8;
-/// Samples that are processed at once, so that their forcings and innovations stay in the cache.
+/// Intervals that are processed at once, so that their forcings and innovations stay in the cache.
 pub(super) const CHUNK: usize = 128;
 
 /// A number for each lane.
@@ -215,22 +217,28 @@ pub(super) struct Wave {
     pub of_current: bool,
 }
 
-/// Forcing of the current, constant over the interval to each sample, that is equal to a delay of the commands by `late_s`.
+/// Forcing of the current, constant over each interval, that is equal to a delay of the commands by `late_s`.
 fn delay_forcing(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
-    let times = &run.scenario.sample_time_s;
-    let mut forcing = vec![0.0; times.len()];
+    let Grid { instants, motions, .. } = &run.grid;
+    let mut forcing = vec![0.0; motions.len()];
     let known_s = run.gains.command_delay_s;
     for pair in run.scenario.events.windows(2) {
         let acts_s = pair[1].0 + known_s;
-        let sample = times.partition_point(|time_s| *time_s <= acts_s);
-        let (Some(time_s), Some(cell)) = (times.get(sample), forcing.get_mut(sample)) else {
+        let number = run.grid.interval_at(run.scenario, acts_s);
+        let (Some(motion), Some(cell)) = (motions.get(number), forcing.get_mut(number)) else {
             continue;
         };
-        let gain = run.steps[sample].current[4];
+        let missing_a = (pair[0].1 - pair[1].1) * late_s * run.dynamics.inverse_inductance;
+        if run.grid.is_refined() {
+            // The interval begins with the command.
+            *cell += missing_a / motion.interval_s;
+            continue;
+        }
+        let gain = run.steps[number].current[4];
         if gain > 0.0 {
-            let missing_a = (pair[0].1 - pair[1].1) * late_s * run.dynamics.inverse_inductance;
-            let rests = run.gains.transitions[sample].direction == 0.0;
-            let rest = run.dynamics.over(time_s - acts_s, rests);
+            let end_s = instants[number].time_s + 0.5 * motion.interval_s;
+            let rest_s = end_s + run.scenario.begin_s() - acts_s;
+            let rest = run.dynamics.over(rest_s, motion.direction == 0.0);
             *cell += rest.apply([missing_a, 0.0], [0.0; 2])[0] / gain;
         }
     }
@@ -243,7 +251,7 @@ struct ForcingState<'a> {
     own: Vec<f64>,
     /// Largest voltage, torque and friction along the run, for [`Tangent::Power`].
     most: Sums,
-    /// Forcing of the current by a delay of the commands, for each sample.
+    /// Forcing of the current by a delay of the commands, for each interval.
     delay_forcing: Vec<f64>,
 }
 
@@ -259,8 +267,8 @@ impl<'a> ForcingState<'a> {
         let mut most = Sums::default();
         if let Tangent::Power { terms, .. } = tangent {
             let mut own = vec![0.0; states];
-            for (at, transition) in run.instants.iter().zip(&run.gains.transitions) {
-                let sums = advanced(&**terms, at, &mut own, transition.interval_s);
+            for (at, motion) in run.grid.instants.iter().zip(&run.grid.motions) {
+                let sums = advanced(&**terms, at, &mut own, motion.interval_s);
                 most = combined(&most, &sums, |most, own| most.max(own.abs()));
             }
             (most.current_rate_gain, most.inertia_gain) = (0.0, 0.0);
@@ -334,7 +342,7 @@ fn advanced(terms: &dyn Terms, at: &Instant, own: &mut [f64], interval_s: f64) -
     sums
 }
 
-/// Sine and cosine of a wave at the samples of one chunk.
+/// Sine and cosine of a wave at the intervals of one chunk.
 struct Waves {
     order: f64,
     each: [[f64; 2]; CHUNK],
@@ -377,13 +385,15 @@ pub(super) fn propagate(
             _ => {}
         }
     }
-    let n = run.scenario.samples();
+    let grid = &run.grid;
+    let (steps, n) = (grid.steps(&run.steps), grid.motions.len());
+    let mut sensing = run.sensing();
     let begins_s = tangents.iter().map(|tangent| match tangent {
         Tangent::Event { begins_s, .. } => *begins_s,
         _ => f64::NEG_INFINITY,
     });
     let begin_s = begins_s.fold(f64::INFINITY, f64::min);
-    let silent = run.instants.partition_point(|instant| instant.time_s < begin_s);
+    let silent = grid.instants.partition_point(|instant| instant.time_s < begin_s);
     for first in (0..n).step_by(CHUNK).skip(silent / CHUNK) {
         let range = first..(first + CHUNK).min(n);
         // No wave has this order: the first one of a chunk is computed.
@@ -394,20 +404,90 @@ pub(super) fn propagate(
             };
             force(run, forcing_state, range.clone(), &mut waves, put);
         }
-        for ((sample, forcing), white) in range.clone().zip(&forcing).zip(white.chunks_exact_mut(2))
-        {
-            deviations.advance(&run.steps[sample], forcing);
+        let first_sample = grid.sample_from(first);
+        let mut sample = first_sample;
+        for (interval, forcing) in range.zip(&forcing) {
+            deviations.advance(&steps[interval], forcing);
+            if let Some(sensing) = &mut sensing {
+                sensing.follow(&deviations, grid.motions[interval].interval_s);
+            }
+            if !grid.ends_at(interval, sample) {
+                continue;
+            }
             for (lane, by_s) in &late {
                 for (signal, sensor_error) in sensor_error.iter_mut().enumerate() {
                     sensor_error[*lane] = -by_s[signal] * run.filtered.rates[sample][signal];
                 }
             }
-            if run.gains.transitions[sample].restarts {
-                deviations.reset_to_measurement(&sensor_error);
-            }
-            white.copy_from_slice(&deviations.whiten(&run.gains.updates[sample], &sensor_error));
+            let (restarts, update) =
+                (run.gains.transitions[sample].restarts, &run.gains.updates[sample]);
+            let own = 2 * (sample - first_sample);
+            let both = if let Some(sensing) = &mut sensing {
+                sensing.whiten(&mut deviations, update, &sensor_error, restarts)
+            } else {
+                if restarts {
+                    deviations.reset_to_measurement(&sensor_error);
+                }
+                deviations.whiten(update, &sensor_error)
+            };
+            white[own..own + 2].copy_from_slice(&both);
+            sample += 1;
         }
-        output(first, &white[..2 * range.len()]);
+        output(first_sample, &white[..2 * (sample - first_sample)]);
+    }
+}
+
+/// Sensors that lag behind the deviations.
+pub(super) struct Sensing {
+    sensors: SensorPath<LANES>,
+    time_s: f64,
+}
+
+impl Sensing {
+    fn new(path: Path) -> Self {
+        let rest = Reading { time_s: 0.0, current_a: [0.0; LANES], speed_rad_s: [0.0; LANES] };
+        Self { sensors: SensorPath::new(path, rest), time_s: 0.0 }
+    }
+
+    fn follow(&mut self, deviations: &Deviations, interval_s: f64) {
+        self.time_s += interval_s;
+        let [current_a, speed_rad_s, ..] = deviations.0;
+        self.sensors.follow(Reading { time_s: self.time_s, current_a, speed_rad_s });
+    }
+
+    /// As [`Deviations::whiten`], of the readings; the sensors are corrected with the motion.
+    fn whiten(
+        &mut self,
+        deviations: &mut Deviations,
+        update: &Update,
+        sensor_error: &[Lane; 2],
+        restarts: bool,
+    ) -> [Lane; 2] {
+        let before = [deviations.0[0], deviations.0[1]];
+        let read = self.sensors.read();
+        let behind: [Lane; 2] = from_fn(|signal| {
+            from_fn(|k| read[signal][k] - before[signal][k] + sensor_error[signal][k])
+        });
+        if restarts {
+            deviations.reset_to_measurement(&behind);
+        }
+        let white = deviations.whiten(update, &behind);
+        let [change_a, change_rad_s] =
+            from_fn(|signal| from_fn(|k| deviations.0[signal][k] - before[signal][k]));
+        self.sensors.correct(&change_a, &change_rad_s);
+        self.sensors.begin_mean();
+        white
+    }
+}
+
+impl LinearisedRun<'_> {
+    /// The sensors of deviations; `None` where the measurement is the motion.
+    fn sensing(&self) -> Option<Sensing> {
+        let terms = self.model.effects.iter().map(terms_of);
+        let path =
+            terms.map(|terms| terms.path()).fold(Path::of(self.scenario.sensors), Path::plus);
+        let lags = Path { current_offset_a: 0.0, speed_offset_rad_s: 0.0, ..path };
+        (self.grid.is_refined() && !lags.measures_directly()).then(|| Sensing::new(lags))
     }
 }
 
@@ -429,7 +509,7 @@ fn inductive_v(run: &LinearisedRun<'_>, at: &Instant) -> f64 {
     at.voltage_v - r * at.current_a - ke * at.speed_rad_s
 }
 
-/// The forcing of one tangent at the samples of a chunk.
+/// The forcing of one tangent at the intervals of a chunk.
 fn force(
     run: &LinearisedRun<'_>,
     forcing_state: &mut ForcingState<'_>,
@@ -437,20 +517,11 @@ fn force(
     waves: &mut Waves,
     mut put: impl FnMut(usize, [f64; 2]),
 ) {
-    let instants = &run.instants[range.clone()];
-    let transitions = &run.gains.transitions[range.clone()];
+    let instants = &run.grid.instants[range.clone()];
+    let motions = &run.grid.motions[range.clone()];
     let inductance = run.dynamics.inverse_inductance;
     let inertia = run.dynamics.inverse_inertia;
-    let filtered = &run.filtered;
-    let start = range.start;
-    let mean_rate = |signal: usize, k: usize, interval_s: f64| {
-        let sample = start + k;
-        if sample == 0 || interval_s <= 0.0 {
-            return 0.0;
-        }
-        (filtered.before[sample][signal] - filtered.after[sample - 1][signal]) / interval_s
-    };
-    let along = || instants.iter().zip(transitions).enumerate();
+    let along = || instants.iter().zip(motions).enumerate();
     match forcing_state.tangent {
         Tangent::Offset(_) | Tangent::ReadingDelay(_) => {}
         Tangent::CommandDelay(_) => {
@@ -459,16 +530,15 @@ fn force(
             }
         }
         Tangent::Motor(key, by) => {
-            for (k, (at, transition)) in along() {
-                let rates = [0, 1].map(|signal| mean_rate(signal, k, transition.interval_s));
-                let forcing = motor_forcing(run, *key, at, transition.direction, rates);
+            for (k, (at, motion)) in along() {
+                let forcing = motor_forcing(run, *key, at, motion.direction, motion.rates);
                 put(k, forcing.map(|forcing| by * forcing));
             }
         }
         Tangent::Wave(wave) => {
             waves.to(wave.order, instants);
-            for (k, (at, transition)) in along() {
-                let torque = wave_torque(wave, at, transition.interval_s, &waves.each[k]);
+            for (k, (at, motion)) in along() {
+                let torque = wave_torque(wave, at, motion.interval_s, &waves.each[k]);
                 put(k, [0.0, -torque * inertia]);
             }
         }
@@ -489,11 +559,11 @@ fn force(
             }
         }
         _ => {
-            for (k, (at, transition)) in along() {
-                let sums = forcing_state.sums(at, transition.interval_s);
+            for (k, (at, motion)) in along() {
+                let sums = forcing_state.sums(at, motion.interval_s);
                 let inductive_v = sums.current_rate_gain * inductive_v(run, at);
-                let acceleration = sums.inertia_gain * mean_rate(1, k, transition.interval_s);
-                let torque_n_m = sums.torque_n_m + transition.direction * sums.friction_n_m;
+                let acceleration = sums.inertia_gain * motion.rates[1];
+                let torque_n_m = sums.torque_n_m + motion.direction * sums.friction_n_m;
                 put(
                     k,
                     [
@@ -546,22 +616,9 @@ fn motor_forcing(
     }
 }
 
-/// Whether the tangents are derivatives of the model. They are not with a lag between motion and measurement, with a second inertia,
-/// or with a current that settles between two samples.
-pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
-    if scenario.input == Input::Voltage {
-        let interval_s = median_step(&scenario.sample_time_s);
-        let constant_s = model.motor.electrical_time_constant_s();
-        // The rate of the current is taken as constant over an interval, which holds up to half of the armature's time constant.
-        if !constant_s.is_some_and(|constant_s| interval_s < 0.5 * constant_s) {
-            return false;
-        }
-    }
-    let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
-    let paths = terms.iter().map(|terms| terms.path());
-    let path = paths.fold(Path::of(scenario.sensors), Path::plus);
-    let lags_s = path.speed_delay_s + path.speed_filter_s + path.current_filter_s;
-    lags_s <= 0.0 && !path.averages_current && terms.iter().all(|terms| terms.coupling().is_none())
+/// Whether the tangents are derivatives of the model. They are not with a second inertia.
+pub(super) fn are_tangents(model: &Model) -> bool {
+    model.effects.iter().all(|active| terms_of(active).coupling().is_none())
 }
 
 /// Derivative by a parameter of an effect: of a coefficient for `unit` of it, of a shape by a difference over `step`, which is `over` in
@@ -630,9 +687,9 @@ mod tests {
 
     use super::*;
     use crate::joint::kalman::{DISTURBED, hole};
-    use crate::kit::{nameplate, truth};
+    use crate::kit::{self, nameplate, truth};
     use drivebench_model::plant::testing::record;
-    use drivebench_model::plant::{State, UnknownInput};
+    use drivebench_model::plant::{Scenario, State, UnknownInput};
 
     const ALL: Range<usize> = 0..usize::MAX;
 
@@ -701,6 +758,45 @@ mod tests {
         for (number, (tangent, with)) in cases.iter().enumerate() {
             let apart = distance(&linearised(&scenario), tangent, with, ALL);
             assert!(apart < 0.05, "case {number} {:?}: {apart}", with.effects);
+        }
+    }
+
+    #[test]
+    fn tangents_hold_behind_sensors_that_lag_and_with_a_current_that_settles_between_samples() {
+        let of_effects = |effects: &[(&str, &[f64])]| kit::with(nameplate(), effects);
+        let filters: [(&str, &[f64]); 2] = [("current_filter", &[2e-3]), ("speed_delay", &[3e-3])];
+        for (period_s, own, averages_current) in
+            [(1e-3, &filters[..], false), (1e-2, &filters[..1], false), (4e-2, &[], true)]
+        {
+            let model = of_effects(own);
+            let mut scenario = record(&model, run(period_s).events, period_s, 2.5, 11);
+            scenario.sensors.averages_current = averages_current;
+            let linearised =
+                LinearisedRun::new(&model, &scenario, State::default(), DISTURBED).unwrap();
+            let keys = MotorKey::ALL.into_iter().filter(|key| *key != MotorKey::TorqueConstant);
+            let of_motor = keys.map(|key| {
+                let (mut with, value) = (model.clone(), model.motor.get(key).unwrap());
+                with.motor.set(key, 1.002 * value);
+                (Tangent::Motor(key, 0.002 * value), with)
+            });
+            let others: [(&str, &[f64]); 4] = [
+                ("viscous_friction", &[1e-4]),
+                ("voltage_offset", &[0.05]),
+                ("constant_load", &[5e-3]),
+                ("command_delay", &[2e-5]),
+            ];
+            let of_others = others.map(|(id, values)| {
+                let with = of_effects(&[own, &[(id, values)]].concat());
+                let tangent = match id {
+                    "command_delay" => Tangent::CommandDelay(values[0]),
+                    _ => Tangent::Terms(terms_of(&with.effects[own.len()])),
+                };
+                (tangent, with)
+            });
+            for (number, (tangent, with)) in of_motor.chain(of_others).enumerate() {
+                let apart = distance(&linearised, &tangent, &with, ALL);
+                assert!(apart < 0.1, "{period_s} s, case {number}: {apart}");
+            }
         }
     }
 
