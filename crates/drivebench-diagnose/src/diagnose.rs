@@ -20,10 +20,10 @@ use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
 use super::trivial::{self, TrivialPrediction};
 use super::vetoes;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
-use drivebench_identify::output_error::FitError;
+use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::findings;
-use drivebench_model::plant::effect::{self, CATALOGUE};
-use drivebench_model::plant::{Effect, Model, MotorKey, Scenario, State};
+use drivebench_model::plant::effect::{self, CATALOGUE, TermKind};
+use drivebench_model::plant::{ActiveEffect, Effect, Input, Model, MotorKey, Scenario, State};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Largest share of the explainable error for unknown parts and the disturbance together, besides the named effects.
@@ -234,8 +234,55 @@ pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError
     diagnose_with(model, evidence, &silent)
 }
 
-/// Refits `model` as the baseline and searches for what it misses.
+/// Refits `model` as the baseline and searches for what it misses. Where the host stamped commands and samples, the offset of
+/// these stamps is estimated with the effects that were found, and the search is repeated with it: an inductance or a filter of
+/// the baseline absorbs part of an offset.
 pub fn diagnose_with(
+    model: &Model,
+    evidence: Evidence,
+    progress: Progress<'_>,
+) -> Result<Diagnosis, FitError> {
+    let training = &evidence.training;
+    if training.input == Input::Voltage && training.is_stamped_by_host() {
+        let (bench, baseline) = Bench::new(model, evidence.clone())?;
+        let inference = bench.infer(&baseline, &eligible(&baseline.model, None), progress)?;
+        if let Some(delayed) = with_offset(model, &baseline, &inference, &evidence)? {
+            return search(&delayed, evidence, progress);
+        }
+    }
+    search(model, evidence, progress)
+}
+
+/// `model` with the offset of the stamps that fits best with the effects that were found; `None` where it has that already. A delay
+/// of the commands within the uncertainty of the stamps is this offset.
+fn with_offset(
+    model: &Model,
+    baseline: &Fitted,
+    inference: &Inference,
+    evidence: &Evidence,
+) -> Result<Option<Model>, FitError> {
+    let Some((_, prior_s)) = evidence.training.input_delay_s() else {
+        return Ok(None);
+    };
+    let id = TermKind::LateCommand.id();
+    let before_s = baseline.model.input_delay_s.unwrap_or(0.0);
+    let ids = [&baseline.model.effect_ids()[..], &inference.named].concat();
+    let mut found = inference.with_effects(&ids).unwrap_or_else(|| baseline.model.clone());
+    let is_new = |active: &&ActiveEffect| active.id() == id && !model.has(id);
+    let late_s = found.effects.iter().find(is_new).map(|active| active.values_or_guess()[0]);
+    let in_all_s = late_s.map(|late_s| before_s + late_s);
+    if let Some(offset_s) = in_all_s.filter(|offset_s| *offset_s <= 2.0 * prior_s) {
+        found = found.without_effect(id)?;
+        found.input_delay_s = Some(offset_s);
+    }
+    let fit = output_error::fit_delayed(&[found], &evidence.training, &evidence.noise)?;
+    let after_s = fit.model.input_delay_s.unwrap_or(before_s);
+    // A twentieth of what is known of it beforehand is within the errors of an inductance or a filter.
+    let changes = (after_s - before_s).abs() > 0.05 * prior_s;
+    Ok(changes.then(|| Model { input_delay_s: Some(after_s), ..model.clone() }))
+}
+
+fn search(
     model: &Model,
     evidence: Evidence,
     progress: Progress<'_>,

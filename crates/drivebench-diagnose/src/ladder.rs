@@ -27,7 +27,7 @@ use drivebench_identify::scheme::Identified;
 use drivebench_identify::winding_balance;
 use drivebench_model::findings;
 use drivebench_model::numerics::levenberg_marquardt::Options;
-use drivebench_model::plant::{Effect, Input, Model, Plant, Scenario, State, effect};
+use drivebench_model::plant::{Effect, Input, Model, MotorKey, Plant, Scenario, State, effect};
 use drivebench_model::sample::{ParameterEstimate, Verdict};
 
 /// Standard deviations below which a size is not significant: in a free run, before which the names have been weighed
@@ -190,18 +190,25 @@ impl Bench {
 
     /// Fits what is free in `start` to the training run alone.
     pub(super) fn fit(&self, start: &Model) -> Result<Fitted, FitError> {
-        self.fit_with(start, Options::default())
+        self.fit_with(start, None, Options::default())
     }
 
-    fn fit_with(&self, start: &Model, options: Options) -> Result<Fitted, FitError> {
+    /// The same; a free run also from the inductance of another model, see [`other_inductance`].
+    fn fit_with(
+        &self,
+        start: &Model,
+        baseline: Option<&Model>,
+        options: Options,
+    ) -> Result<Fitted, FitError> {
         let Evidence { training, noise, .. } = &self.evidence;
         let Some(balance) = &self.balance else {
             let options = Options {
                 most_iterations: affordable(start, training, options.most_iterations),
                 ..options
             };
-            let start = std::slice::from_ref(start);
-            return Ok(output_error::fit_with(start, training, noise, options)?.into());
+            let other = baseline.and_then(|other| other_inductance(start, other, training));
+            let starts: Vec<Model> = std::iter::once(start.clone()).chain(other).collect();
+            return Ok(output_error::fit_with(&starts, training, noise, options)?.into());
         };
         let fit = mechanical::fit(start, &balance.sides.training);
         let fit = fit.ok_or_else(|| cannot_simulate(training))?;
@@ -290,6 +297,13 @@ impl Bench {
         let mut limits: Vec<Limit> = self.aside.iter().cloned().map(Limit::RunsSetAside).collect();
         limits.extend(self.evidence.unjudged());
         limits.extend(self.searched.clone());
+        let known = self.evidence.training.input_delay_s();
+        limits.extend(
+            self.given
+                .input_delay_s
+                .zip(known)
+                .map(|(offset_s, (_, known_s))| Limit::StampsOffset { offset_s, known_s }),
+        );
         limits.extend(self.balance.as_ref().map(|balance| Limit::TorqueBalance {
             derivation: balance.sides.training.derivation.clone(),
         }));
@@ -321,6 +335,18 @@ fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
     };
     plant.simulate(run, State::default());
     iterations_of(plant.work() * (model.free_slots().len() as u64 + 1), most)
+}
+
+/// `start` with the inductance of `other` where its own has no effect on the samples, since the current settles between them: of a
+/// model that lacks a filter the inductance stands for it, and no gradient leads there.
+fn other_inductance(start: &Model, other: &Model, run: &Scenario) -> Option<Model> {
+    let [own_s, other_s] =
+        [start, other].map(|model| model.motor.electrical_time_constant_s().unwrap_or(0.0));
+    let period_s = run.mean_period_s();
+    let inductance_h = other.motor.get(MotorKey::Inductance)?;
+    let mut moved = start.clone();
+    moved.motor.set(MotorKey::Inductance, inductance_h);
+    (own_s < 0.25 * period_s && other_s > 2.0 * own_s).then_some(moved)
 }
 
 /// The effects of the baseline, needed or not, and these of the named ones, with the values of the joint fit.
@@ -416,10 +442,10 @@ pub(super) fn climb(
             let start = beside(&baseline.model, inference, &inference.named[..=place])?;
             let is_last = place + 1 == last && !inference.is_cut();
             let options = if is_last { Options::default() } else { of_lower_rung };
-            let fitted = bench.fit_with(&start, options);
+            let fitted = bench.fit_with(&start, Some(&baseline.model), options);
             // Where much else is missing the fit of a free run may fail: then the values of the joint fit.
             let standing = fitted.and_then(|fit| on_rung(place + 1, fit));
-            standing.or_else(|_| on_rung(place + 1, bench.fit_with(&start, unfitted)?))
+            standing.or_else(|_| on_rung(place + 1, bench.fit_with(&start, None, unfitted)?))
         })
         .collect();
     let mut rungs = vec![on_rung(0, baseline.clone())?];
@@ -530,7 +556,8 @@ pub fn add(
     let inference = bench.infer(&before, &eligible, &silent)?;
     // Where it is not eligible the answer is the model as it was.
     let after = if inference.is_eligible(id) {
-        bench.fit(&beside(&before.model, &inference, &[id])?)?
+        let start = beside(&before.model, &inference, &[id])?;
+        bench.fit_with(&start, Some(&before.model), Options::default())?
     } else {
         before.clone()
     };

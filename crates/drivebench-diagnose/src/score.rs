@@ -6,6 +6,7 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 use drivebench_identify::balance::TorqueRows;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, Fit, FitError};
+use drivebench_model::plant::effect::Axis;
 use drivebench_model::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
 use drivebench_model::sample::{ParameterEstimate, Reason};
 
@@ -186,18 +187,24 @@ impl Fitted {
     }
 
     /// Whether a coefficient of an effect lies `sigmas` of its standard deviations from zero; of an effect without
-    /// coefficients any parameter. `None` where no value is known.
+    /// coefficients any parameter. A slope over the current up to a boundary vanishes with the boundary too. `None` where no value is
+    /// known.
     pub(super) fn is_significant(&self, id: &str, sigmas: f64) -> Option<bool> {
-        let specs = effect::find(id)?.parameters();
-        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
-        let sizes = specs.iter().filter(|spec| !has_coefficients || spec.is_coefficient());
-        let sizes = sizes.filter_map(|spec| {
+        let effect = effect::find(id)?;
+        let (specs, card) = (effect.parameters(), effect.card());
+        let of = |spec: &ParameterSpec| {
             let key = format!("{id}.{}", spec.key);
             let own = self.parameters.iter().find(|own| own.key == key)?;
-            own.value.zip(own.std)
-        });
-        let significant = sizes.map(|(value, std)| value != 0.0 && value.abs() >= sigmas * std);
-        significant.reduce(|one, another| one || another)
+            let (value, std) = own.value.zip(own.std)?;
+            Some(value != 0.0 && value.abs() >= sigmas * std)
+        };
+        let has_coefficients = specs.iter().any(ParameterSpec::is_coefficient);
+        let sizes = specs.iter().filter(|spec| !has_coefficients || spec.is_coefficient());
+        let significant = sizes.filter_map(of).reduce(|one, another| one || another)?;
+        let is_over_current = matches!(card.curve, Some((_, Axis::Current)));
+        let boundary = card.limit.filter(|_| is_over_current);
+        let vanishes = boundary.is_some_and(|limit| of(&specs[limit.parameter]) == Some(false));
+        Some(significant && !vanishes)
     }
 }
 
@@ -300,6 +307,12 @@ mod tests {
         let none: &[_] = &[("voltage_drop.drop_v", 0.0, Some(0.0))];
         let coupling: &[_] = &[("elastic_coupling.frequency_hz", 20.0, Some(0.1))];
         let unknown: &[_] = &[("cogging.sin_n_m", 1.0, None)];
+        let slope = |boundary_a, std_a| {
+            [
+                ("discontinuous_conduction.extra_ohm", 0.63, Some(0.2)),
+                ("discontinuous_conduction.boundary_a", boundary_a, Some(std_a)),
+            ]
+        };
         for (values, id, sigmas, significant) in [
             // A speed of 33 +- 3 rad/s is no coefficient.
             (stribeck, "stribeck_friction", 1.0, Some(false)),
@@ -310,6 +323,9 @@ mod tests {
             // A coupling has no coefficient.
             (coupling, "elastic_coupling", 1.0, Some(true)),
             (unknown, "cogging", 1.0, None),
+            // Of no voltage without a boundary.
+            (&slope(7e-4, 0.096), "discontinuous_conduction", 1.0, Some(false)),
+            (&slope(0.3, 0.05), "discontinuous_conduction", 1.0, Some(true)),
             (wave, "voltage_drop", 1.0, None),
         ] {
             fit.parameters = values.iter().map(estimate).collect();

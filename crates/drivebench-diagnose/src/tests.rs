@@ -244,6 +244,29 @@ fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
     assert_eq!(evidence(&nameplate(), 8).unjudged(), []);
 }
 
+#[test]
+fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_finding() {
+    // Commands that act 0.9 ms after their stamps, each within 0.1 ms.
+    let (offset_s, half_width_s) = (9e-4, 5e-4);
+    let stamped = |mut run: Scenario| {
+        for (number, event) in run.events.iter_mut().enumerate().skip(1) {
+            event.0 -= offset_s + 1e-4 * (number as f64 * 2.4).sin();
+        }
+        run.time_half_width_s = vec![half_width_s; run.samples()];
+        run
+    };
+    for machine in [nameplate(), truth("current_filter", &[6e-3])] {
+        let Evidence { training, holdout, confirm, .. } = evidence(&machine, 4);
+        let data = Evidence::new(stamped(training), Some(stamped(holdout)), confirm.map(stamped));
+        let found = diagnose(&nameplate(), data).unwrap();
+        assert_eq!(found.effects, machine.effect_ids());
+        let model = &found.model.model;
+        assert!((model.input_delay_s.unwrap() / offset_s - 1.0).abs() < 0.2, "{model:?}");
+        let is_offset = |limit: &Limit| matches!(limit, Limit::StampsOffset { .. });
+        assert!(found.limits.iter().any(is_offset) && found.sufficient, "{:?}", found.limits);
+    }
+}
+
 /// Comparison of the fitted nameplate with the runs.
 fn compared(data: Evidence) -> Comparison {
     let (data, baseline) = data.with_baseline(&nameplate()).unwrap();

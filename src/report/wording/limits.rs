@@ -28,6 +28,15 @@ pub fn limit(limit: &Limit) -> String {
                 if *rest_confirms { "; the part after them is the confirming run" } else { "" };
             parts.join("; ") + rest
         }
+        Limit::StampsOffset { offset_s, known_s } => {
+            let side = if *offset_s < 0.0 { "before" } else { "after" };
+            format!(
+                "the commands act {:.2} ms {side} the stamps of the host, which are known to {:.2} ms: this is a part of every \
+                 model of the runs",
+                1e3 * offset_s.abs(),
+                1e3 * known_s
+            )
+        }
         Limit::TorqueBalance { derivation: of } => {
             format!("errors are those of the torque balance ({})", derivation(of))
         }
