@@ -6,7 +6,7 @@ use crate::belief::Settings;
 use drivebench_model::plant::MotorKey;
 
 /// Error of both balances up to which an assignment explains the data.
-const EXPLAINS: f64 = 0.35;
+pub const EXPLAINS: f64 = 0.35;
 
 pub(super) struct Assigned {
     /// Another assignment explains the data, the given one does not.
@@ -17,16 +17,13 @@ pub(super) struct Assigned {
 
 /// Result of both balances; `None` where a column is constant.
 pub(super) fn check(table: &Table) -> Option<Assigned> {
-    let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
-    if columns.iter().any(|column| !Activity::of(column).moves) {
+    if table.columns().iter().any(|column| !Activity::of(column).moves) {
         return None;
     }
     let given = Balances::of(&Roles::of(table))?;
     if table.voltage_is_of_a_supply() {
-        return Some(Assigned {
-            exchanged: None,
-            impossible: given.impossible().map(|found| of_a_supply(table, found)),
-        });
+        let impossible = given.impossible().map(|found| of_a_supply(table, found));
+        return Some(Assigned { exchanged: None, impossible });
     }
     let others = ASSIGNMENTS.iter().filter_map(|assignment| {
         let found = Balances::of(&assignment.roles(table))?;
@@ -41,7 +38,7 @@ pub(super) fn check(table: &Table) -> Option<Assigned> {
     Some(Assigned {
         exchanged: better.map(|(assignment, found)| assignment.finding(table, &given, &found)),
         impossible: impossible.map(|coefficient| {
-            let fault = ColumnFault::Impossible { coefficient, left: left(&given) };
+            let fault = ColumnFault::Impossible { coefficient, left: given.left() };
             // A small error with an impossible sign is proof; a large one may also be a missing effect.
             Finding::of_all(Kind::Reversed, given.error() < EXPLAINS, Fault::Column(fault))
         }),
@@ -66,21 +63,17 @@ struct Assignment {
     signs: [f64; 2],
 }
 
-const fn assignment(place: [usize; 3], signs: [f64; 2]) -> Assignment {
-    Assignment { place, signs }
-}
-
 /// Every assignment but the given one, with one mistake each: columns in each other's place, or signs. The voltage's sign is
 /// the reference.
 const ASSIGNMENTS: [Assignment; 8] = [
-    assignment([1, 0, 2], [1.0, 1.0]),
-    assignment([0, 2, 1], [1.0, 1.0]),
-    assignment([2, 1, 0], [1.0, 1.0]),
-    assignment([1, 2, 0], [1.0, 1.0]),
-    assignment([2, 0, 1], [1.0, 1.0]),
-    assignment([0, 1, 2], [1.0, -1.0]),
-    assignment([0, 1, 2], [-1.0, 1.0]),
-    assignment([0, 1, 2], [-1.0, -1.0]),
+    Assignment { place: [1, 0, 2], signs: [1.0, 1.0] },
+    Assignment { place: [0, 2, 1], signs: [1.0, 1.0] },
+    Assignment { place: [2, 1, 0], signs: [1.0, 1.0] },
+    Assignment { place: [1, 2, 0], signs: [1.0, 1.0] },
+    Assignment { place: [2, 0, 1], signs: [1.0, 1.0] },
+    Assignment { place: [0, 1, 2], signs: [1.0, -1.0] },
+    Assignment { place: [0, 1, 2], signs: [-1.0, 1.0] },
+    Assignment { place: [0, 1, 2], signs: [-1.0, -1.0] },
 ];
 
 /// The balances with the voltage of a supply, which the bridge chops: they give no parameter of the winding.
@@ -88,11 +81,6 @@ fn of_a_supply(table: &Table, coefficient: (MotorKey, f64)) -> Finding {
     let volts = Activity::of(&table.voltage_v).extent();
     let fault = ColumnFault::OfSupply { voltage: table.voltage_key, volts, coefficient };
     Finding::of_all(Kind::Reversed, false, Fault::Column(fault))
-}
-
-/// Shares of voltage and current that stay unexplained.
-const fn left(found: &Balances) -> [f64; 2] {
-    [found.voltage_error, found.torque_error]
 }
 
 impl Assignment {
@@ -107,15 +95,8 @@ impl Assignment {
     }
 
     fn roles<'a>(&self, table: &'a Table) -> Roles<'a> {
-        let columns = [&table.voltage_v, &table.current_a, &table.speed_rad_s];
-        Roles {
-            time_s: &table.time_s,
-            windows: &table.windows,
-            voltage: columns[self.place[0]],
-            current: columns[self.place[1]],
-            speed: columns[self.place[2]],
-            signs: self.signs,
-        }
+        let [voltage, current, speed] = self.place.map(|place| table.columns()[place]);
+        Roles { voltage, current, speed, signs: self.signs, ..Roles::of(table) }
     }
 
     fn finding(&self, table: &Table, given: &Balances, found: &Balances) -> Finding {
@@ -124,7 +105,7 @@ impl Assignment {
             place: self.place,
             reversed: self.reversed(),
             impossible: given.impossible(),
-            left: [left(given), left(found)],
+            left: [given.left(), found.left()],
         };
         if mapping.reversed.is_some() && self.place == [0, 1, 2] {
             Finding::refusal(Kind::Reversed, Fault::Column(ColumnFault::SignReversed(mapping)))

@@ -101,21 +101,12 @@ findings! {
     }
 }
 
-/// What a unit shows against.
+/// What a unit shows against. Those of a model are back-EMF constants and resistances, found and of the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Evidence {
-    Angle {
-        over_angle: f64,
-    },
-    /// Back-EMF constants and resistances, found and of the model.
-    Model {
-        back_emf: (f64, f64),
-        resistance: Option<(f64, f64)>,
-    },
-    Torque {
-        n_m_per_a: f64,
-        back_emf: f64,
-    },
+    Angle { over_angle: f64 },
+    Model { back_emf: (f64, f64), resistance: Option<(f64, f64)> },
+    Torque { n_m_per_a: f64, back_emf: f64 },
 }
 
 /// What a column may have been given for.

@@ -24,6 +24,7 @@ mod table;
 #[cfg(test)]
 mod tests;
 
+pub use columns::EXPLAINS;
 pub use fault::{
     Basis, ColumnFault, Evidence, Fault, Level, Mapping, Masked, SignalFault, UnitFault,
 };

@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use super::sensor::{Signal, is_same, runs_of};
+use super::sensor::{is_same, runs_of};
 use super::stretches::{FROZEN_ROWS, Watched};
 use super::table::{Activity, Roles, Table, correlation, span, voltage_at_rest};
 use super::{CLOSE_S, Fault, Finding, Kind, Level, SignalFault};
@@ -17,13 +17,12 @@ const AT_REST: f64 = 0.3;
 
 /// Records of one operating point, or in which a signal is constant that has to change.
 pub(super) fn still(table: &Table) -> Vec<Finding> {
-    let [voltage, current, speed] =
-        [&table.voltage_v, &table.current_a, &table.speed_rad_s].map(|values| Activity::of(values));
-    let duration_s = table.duration_s();
+    let activities = table.columns().map(Activity::of);
+    let [voltage, current, speed] = &activities;
     let current_moves = current.moves
         || current.is_there() && correlation(&table.voltage_v, &table.current_a).abs() > 0.3;
     if !speed.moves && !current_moves {
-        return vec![nothing_moves(&voltage, &current, &speed, duration_s)];
+        return vec![nothing_moves(&activities, table.duration_s())];
     }
     let mut findings = Vec::new();
     let voltage_changes =
@@ -41,21 +40,16 @@ pub(super) fn still(table: &Table) -> Vec<Finding> {
         findings.push(Finding::refusal(Kind::OpenCircuit, Fault::Signal(fault)));
     }
     if current_moves && speed.is_there() && !speed.moves {
-        findings.extend(shaft_at_rest(table, &speed));
+        findings.extend(shaft_at_rest(table, speed));
     }
     if current.moves && speed.moves && voltage.is_there() {
-        findings.extend(open_for_a_while(table, &voltage, &current, &speed));
+        findings.extend(open_for_a_while(table, &activities));
     }
     findings
 }
 
 /// A rotating shorted armature carries `-Ke w/R`; without a current at zero volt it is open.
-fn open_for_a_while(
-    table: &Table,
-    voltage: &Activity,
-    current: &Activity,
-    speed: &Activity,
-) -> Option<Finding> {
+fn open_for_a_while(table: &Table, [voltage, current, speed]: &[Activity; 3]) -> Option<Finding> {
     // A coarse sensor may alternate by one quantum at rest; by two the shaft turns slowly.
     let clear = (Settings::FAR * speed.largest()).max(3.0 * table.speed.quantum);
     let coasts = |row: usize| {
@@ -82,12 +76,7 @@ fn open_for_a_while(
 }
 
 /// One operating point, moving or not.
-fn nothing_moves(
-    voltage: &Activity,
-    current: &Activity,
-    speed: &Activity,
-    duration_s: f64,
-) -> Finding {
+fn nothing_moves([voltage, current, speed]: &[Activity; 3], duration_s: f64) -> Finding {
     let signals = [("voltage", voltage, "V"), ("current", current, "A"), ("speed", speed, "rad/s")];
     let there = signals.iter().filter(|(_, activity, _)| activity.is_there());
     let levels = there.map(|(signal, activity, unit)| {
@@ -95,17 +84,12 @@ fn nothing_moves(
         Level { signal, unit, mean: activity.mean, noise }
     });
     let levels = levels.collect();
-    if speed.is_there() && speed.is_zero() {
-        Finding::refusal(
-            Kind::Standstill,
-            Fault::Signal(SignalFault::AtRest { duration_s, levels }),
-        )
+    let (kind, fault) = if speed.is_there() && speed.is_zero() {
+        (Kind::Standstill, SignalFault::AtRest { duration_s, levels })
     } else {
-        Finding::refusal(
-            Kind::Steady,
-            Fault::Signal(SignalFault::OperatingPoint { duration_s, levels }),
-        )
-    }
+        (Kind::Steady, SignalFault::OperatingPoint { duration_s, levels })
+    };
+    Finding::refusal(kind, Fault::Signal(fault))
 }
 
 /// The current moves, the speed does not: a locked rotor, or a speed that is not measured.
@@ -118,13 +102,10 @@ fn shaft_at_rest(table: &Table, speed: &Activity) -> Option<Finding> {
     if !speed.is_zero() {
         return None;
     }
-    let roles = Roles::of(table);
-    let unexplained = voltage_at_rest(&roles)?;
+    let unexplained = voltage_at_rest(&Roles::of(table))?;
     if unexplained > AT_REST {
-        return Some(Finding::refusal(
-            Kind::Frozen,
-            Fault::Signal(SignalFault::SpeedZero { unexplained }),
-        ));
+        let fault = SignalFault::SpeedZero { unexplained };
+        return Some(Finding::refusal(Kind::Frozen, Fault::Signal(fault)));
     }
     let doubts = [MotorKey::BackEmf, MotorKey::Inertia, MotorKey::LoadTorque];
     let (duration_s, noise_rad_s) = (table.duration_s(), speed.noise);
@@ -138,12 +119,12 @@ pub(super) fn outlier(table: &Table) -> Option<Finding> {
     let pairs = table.time_s.windows(2);
     let close = pairs.clone().filter(|pair| pair[1] - pair[0] <= CLOSE_S);
     let close = 2 * close.count() > pairs.count();
-    let speed = if close { 0.5 } else { 3.0 };
-    wild("speed_rad_s", &table.time_s, &table.speed_rad_s, speed)
-        .or_else(|| wild("current_a", &table.time_s, &table.current_a, 3.0))
+    let [current, speed] = Watched::both(table);
+    wild(&speed, if close { 0.5 } else { 3.0 }).or_else(|| wild(&current, 3.0))
 }
 
-fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Option<Finding> {
+fn wild(watched: &Watched<'_>, ranges: f64) -> Option<Finding> {
+    let values = watched.values;
     let mut sorted = finite(values);
     if sorted.len() < 100 {
         return None;
@@ -152,23 +133,22 @@ fn wild(key: &'static str, time_s: &[f64], values: &[f64], ranges: f64) -> Optio
     // The usual range excludes one per cent of the values at each end.
     let tail = whole((0.01 * sorted.len() as f64).ceil());
     let range = sorted[sorted.len() - 1 - tail] - sorted[tail];
-    let spikes: Vec<usize> = (1..values.len().saturating_sub(1))
-        .filter(|&row| {
-            let (before, at, after) = (values[row - 1], values[row], values[row + 1]);
-            let nearest = (at - before).abs().min((at - after).abs());
-            range > 0.0
-                && (before - after).abs() <= Settings::CHANGES * range
-                && nearest > ranges * range
-        })
-        .collect();
+    let stands_out = |row: &usize| {
+        let (before, at, after) = (values[row - 1], values[*row], values[row + 1]);
+        let nearest = (at - before).abs().min((at - after).abs());
+        let agree = (before - after).abs() <= Settings::CHANGES * range;
+        range > 0.0 && agree && nearest > ranges * range
+    };
+    let inner = 1..values.len().saturating_sub(1);
+    let spikes: Vec<usize> = inner.filter(stands_out).collect();
     let first = *spikes.first()?;
     // Many of them are no outliers but belong to the signal.
     if spikes.len() > tail {
         return None;
     }
     let fault = SignalFault::Outlier {
-        key,
-        at_s: time_s[first],
+        key: watched.key,
+        at_s: watched.table.time_s[first],
         value: values[first],
         neighbours: [values[first - 1], values[first + 1]],
         count: spikes.len(),
@@ -184,11 +164,7 @@ const ROUNDING: f64 = 1e-9;
 pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
     let mut findings = Vec::new();
     let speed_moves = Activity::of(&table.speed_rad_s).moves;
-    for signal in [Signal::Current, Signal::Speed] {
-        let watched = Watched::of(table, signal);
-        if !watched.activity.moves {
-            continue;
-        }
+    for watched in Watched::both(table).into_iter().filter(|watched| watched.activity.moves) {
         // A winding at rest, sampled slowly and without noise, does follow the voltage in jumps.
         if speed_moves && let Some(held) = watched.held() {
             findings.push(held);
@@ -199,7 +175,7 @@ pub(super) fn contradicted(table: &Table) -> Vec<Finding> {
             Some(clipped) => findings.push(clipped),
             None => findings.extend(watched.frozen()),
         }
-        findings.extend(unsigned(table, &watched));
+        findings.extend(unsigned(&watched));
     }
     if speed_moves {
         findings.extend(dead_at_zero(table));
@@ -214,41 +190,35 @@ fn dead_at_zero(table: &Table) -> Option<Finding> {
     // A slope of equal angles is zero but for rounding.
     let zero_rad_s = ROUNDING * Activity::of(&table.speed_rad_s).largest();
     let is_zero = |row: usize| table.speed_rad_s[row].abs() <= zero_rad_s;
-    let rows = table.speed_rad_s.len();
-    let longest = runs_of(rows, FROZEN_ROWS, is_zero);
-    let longest = longest.into_iter().max_by_key(Range::len)?;
+    let still = runs_of(table.speed_rad_s.len(), FROZEN_ROWS, is_zero);
+    let longest = still.into_iter().max_by_key(Range::len)?;
     let inside = |window: &&Range<usize>| longest.start <= window.start && window.end < longest.end;
     let windows: Vec<Range<usize>> = table.windows.iter().filter(inside).cloned().collect();
     let clear_v = Settings::FAR * Activity::of(&table.voltage_v).largest();
-    let driven =
-        table.voltage_v[longest.clone()].iter().filter(|volts| volts.abs() > clear_v).count();
+    let driven = table.voltage_v[longest.clone()].iter().filter(|volts| volts.abs() > clear_v);
     // A bridge that is off leaves the voltage of the supply, and the winding takes none of it.
-    if table.voltage_is_of_a_supply() || driven < FROZEN_ROWS {
+    if table.voltage_is_of_a_supply() || driven.count() < FROZEN_ROWS {
         return None;
     }
-    let unexplained = voltage_at_rest(&Roles::of(table).over(&windows));
-    let unexplained = unexplained.filter(|share| *share > AT_REST)?;
+    let unexplained =
+        voltage_at_rest(&Roles::of(table).over(&windows)).filter(|share| *share > AT_REST)?;
     let (from_s, to_s) = (table.time_s[longest.start], table.time_s[longest.end - 1]);
     let fault = SignalFault::SpeedDead { from_s, to_s, unexplained };
     Some(Finding::refusal(Kind::Frozen, Fault::Signal(fault)))
 }
 
 /// A signal that is never negative although the voltage clearly reverses and it is large there.
-fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
-    let (key, activity) = (watched.key, &watched.activity);
+fn unsigned(watched: &Watched<'_>) -> Option<Finding> {
+    let Watched { table, key, activity, .. } = watched;
     let voltage = Activity::of(&table.voltage_v);
     if !voltage.is_there() || activity.least < -Settings::CLEAR * activity.most {
         return None;
     }
     // Where the voltage is clearly of one direction.
+    let clear_v = Settings::FAR * voltage.largest();
     let under = |direction: f64| -> Vec<f64> {
-        let clearly = Settings::FAR * voltage.largest();
-        let rows = table
-            .voltage_v
-            .iter()
-            .zip(watched.values)
-            .filter(|(u, x)| direction * **u > clearly && x.is_finite());
-        rows.map(|(_, x)| *x).collect()
+        let rows = table.voltage_v.iter().zip(watched.values);
+        rows.filter(|(u, x)| direction * **u > clear_v && x.is_finite()).map(|(_, x)| *x).collect()
     };
     let [ahead, astern] = [1.0, -1.0].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
@@ -258,8 +228,7 @@ fn unsigned(table: &Table, watched: &Watched<'_>) -> Option<Finding> {
     {
         return None;
     }
-    let power =
-        |values: &[f64]| values.iter().fold(0.0, |sum, x| sum + x * x) / values.len() as f64;
+    let power = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64;
     let (forward, backward, astern) = (power(&ahead), power(&astern), astern.len());
     (backward > Settings::CLEAR * forward).then(|| {
         let (values, voltage) = (activity.extent(), table.voltage_key);
@@ -275,15 +244,11 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
     if !(voltage.is_there() && speed.moves) || voltage.least < -Settings::CLEAR * voltage.most {
         return None;
     }
+    let [clear_v, clear_rad_s] = [voltage.most, speed.largest()].map(|most| Settings::FAR * most);
     let rows = table.voltage_v.iter().zip(&table.speed_rad_s);
-    let rows = rows
-        .filter(|(u, w)| {
-            **u > Settings::FAR * voltage.most && **w < -Settings::FAR * speed.largest()
-        })
-        .count();
+    let rows = rows.filter(|(u, w)| **u > clear_v && **w < -clear_rad_s).count();
     let share = rows as f64 / table.time_s.len().max(1) as f64;
-    let both = speed.most > Settings::FAR * speed.largest()
-        && speed.least < -Settings::FAR * speed.largest();
+    let both = speed.most > clear_rad_s && speed.least < -clear_rad_s;
     (both && share > Settings::CHANGES).then(|| {
         let (voltage, speeds_rad_s) = (table.voltage_key, speed.extent());
         let fault = SignalFault::VoltageSignLost { voltage, speeds_rad_s, rows };
@@ -294,24 +259,19 @@ fn unsigned_voltage(table: &Table) -> Option<Finding> {
 /// A signal that jumps from one end of its range to the other where nothing drives it: a counter that overflows to the other
 /// sign.
 pub(super) fn overflow(table: &Table) -> Option<Finding> {
-    [
-        ("speed_rad_s", &table.speed_rad_s, table.speed),
-        ("current_a", &table.current_a, table.current),
-    ]
-    .into_iter()
-    .find_map(|(key, values, sensor)| overflow_of(table, key, values, sensor.quantum))
+    let [current, speed] = Watched::both(table);
+    overflow_of(&speed).or_else(|| overflow_of(&current))
 }
 
-fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -> Option<Finding> {
-    let (least, most) = extent(finite(values));
-    let range = most - least;
-    let pairs = values.windows(2);
-    let sizes: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
+fn overflow_of(watched: &Watched<'_>) -> Option<Finding> {
+    let Watched { table, key, values, activity, sensor, .. } = watched;
+    let ([least, most], range) = (activity.extent(), activity.range());
+    let sizes: Vec<f64> = values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).collect();
     let is_end = |value: f64| (value - least).min(most - value) < Settings::FAR * range;
     let ends = |row: &usize| is_end(values[row - 1]) && is_end(values[*row]);
     let jumps: Vec<usize> =
         (1..values.len()).filter(|row| sizes[row - 1] > 0.7 * range && ends(row)).collect();
-    let is_coarse = quantum <= 0.0 || range < 20.0 * quantum;
+    let is_coarse = sensor.quantum <= 0.0 || range < 20.0 * sensor.quantum;
     if jumps.len() < 3 || is_coarse || median(&sizes) > Settings::CLEAR * range {
         return None;
     }
@@ -328,17 +288,13 @@ fn overflow_of(table: &Table, key: &'static str, values: &[f64], quantum: f64) -
     }
     // The signal goes on beyond its end as it did before.
     let period = jumps.iter().map(|row| {
-        let own = [row.checked_sub(2), Some(*row)]
-            .into_iter()
-            .flatten()
-            .filter_map(|step| sizes.get(step))
-            .copied();
-        sizes[row - 1] + own.fold(f64::INFINITY, f64::min).min(Settings::CLEAR * range)
+        let beside = [row.checked_sub(2), Some(*row)].into_iter().flatten();
+        let (least, _) = extent(beside.filter_map(|step| sizes.get(step)));
+        sizes[row - 1] + least.min(Settings::CLEAR * range)
     });
     let period = median(&period.collect::<Vec<f64>>());
     // The step is exact and the jump known to some per cent: a whole number of bits goes before the jump itself.
-    let steps = sizes.iter().filter(|size| **size > ROUNDING * range);
-    let step = steps.fold(f64::INFINITY, |least, size| least.min(*size));
+    let (step, _) = extent(sizes.iter().filter(|size| **size > ROUNDING * range));
     let bits = (period / step).log2();
     let is_whole = (bits - bits.round()).abs() < 0.05 && (8.0..=32.0).contains(&bits.round());
     let counts = is_whole.then(|| bits.round().exp2());

@@ -3,6 +3,7 @@
 
 use std::ops::Range;
 
+use super::stretches::Watched;
 use super::table::Table;
 use crate::belief::Settings;
 use drivebench_model::numerics::count::whole;
@@ -23,11 +24,8 @@ pub(super) struct Sensor {
 impl Sensor {
     pub(super) fn of(values: &[f64]) -> Self {
         let present = finite(values);
-        let mut steps: Vec<f64> = present
-            .windows(2)
-            .map(|pair| (pair[1] - pair[0]).abs())
-            .filter(|step| *step > 0.0)
-            .collect();
+        let steps = present.windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        let mut steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
         steps.sort_by(f64::total_cmp);
         // A reading that was rounded once more, or a torn row, may make a smaller step.
         let place = whole(steps.len() as f64 * 0.02);
@@ -90,9 +88,8 @@ pub(super) fn stretches(
 /// quantum does that: the one creeps into the stretch by steps of one quantum, the other repeats values beside it too.
 pub(super) fn stops_suddenly(values: &[f64], sensor: &Sensor, still: &Range<usize>) -> bool {
     let usual = |rows: Range<usize>| {
-        let pairs = values[rows].windows(2);
-        let steps: Vec<f64> = pairs.map(|pair| (pair[1] - pair[0]).abs()).collect();
-        let steps = finite(&steps);
+        let steps = values[rows].windows(2).map(|pair| (pair[1] - pair[0]).abs());
+        let steps: Vec<f64> = steps.filter(|step| step.is_finite()).collect();
         (steps.len() >= 5).then(|| median(&steps))
     };
     let before = usual(still.start.saturating_sub(10)..still.start + 1);
@@ -117,35 +114,18 @@ pub(super) struct Expected {
     error: f64,
 }
 
-/// Which of the two measured signals.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Signal {
-    Current,
-    Speed,
-}
-
 impl Expected {
     /// `counts`: rows that the relation is taken from.
-    pub(super) fn of(
-        table: &Table,
-        signal: Signal,
-        counts: impl Fn(usize) -> bool,
-    ) -> Option<Self> {
-        let (own, third) = match signal {
-            Signal::Current => (&table.current_a, &table.speed_rad_s),
-            Signal::Speed => (&table.speed_rad_s, &table.current_a),
-        };
-        let rows: Vec<usize> = (0..own.len()).filter(|row| counts(*row)).collect();
-        let present = finite(third).len() * 2 > third.len();
-        let candidates = if present {
-            vec![third.clone()]
-        } else {
-            LAGS.map(|rows| table.lagged_voltage(rows)).to_vec()
-        };
-        let found = candidates
-            .iter()
-            .filter_map(|second| Self::by_line(own, &table.voltage_v, second, &rows, present));
-        found.min_by(|a, b| a.error.total_cmp(&b.error))
+    pub(super) fn of(watched: &Watched<'_>, counts: impl Fn(usize) -> bool) -> Option<Self> {
+        let Watched { table, values, other, .. } = watched;
+        let rows: Vec<usize> = (0..values.len()).filter(|row| counts(*row)).collect();
+        let by_line =
+            |second: &[f64], both| Self::by_line(values, &table.voltage_v, second, &rows, both);
+        if finite(other).len() * 2 > other.len() {
+            return by_line(other, true);
+        }
+        let lags = LAGS.iter().filter_map(|rows| by_line(&table.lagged_voltage(*rows), false));
+        lags.min_by(|a, b| a.error.total_cmp(&b.error))
     }
 
     /// `both`: the voltage counts beside `second`.
@@ -176,7 +156,7 @@ impl Expected {
             kept.retain(|row| (own[*row] - values[*row]).abs() <= 4.0 * deviation);
         }
         let left = rows.iter().map(|row| (own[*row] - values[*row]).abs());
-        let mut left = finite(&left.collect::<Vec<f64>>());
+        let mut left: Vec<f64> = left.filter(|off| off.is_finite()).collect();
         if left.len() < 60 {
             return None;
         }

@@ -5,11 +5,11 @@
 
 use std::ops::Range;
 
-use super::sensor::{Expected, Sensor, Signal, is_same, runs_of, stops_suddenly, stretches};
+use super::sensor::{Expected, Sensor, is_same, runs_of, stops_suddenly, stretches};
 use super::table::{Activity, Table};
 use super::{Fault, Finding, Kind, SignalFault};
 use crate::belief::Settings;
-use drivebench_model::numerics::statistics::finite;
+use drivebench_model::numerics::statistics::{finite, largest};
 
 /// Rows of one and the same value from which a live signal may count as frozen.
 pub(super) const FROZEN_ROWS: usize = 20;
@@ -18,23 +18,31 @@ const PLATEAU_ROWS: usize = 3;
 
 /// A measured signal beside the others.
 pub(super) struct Watched<'a> {
-    table: &'a Table,
-    signal: Signal,
+    pub(super) table: &'a Table,
     pub(super) key: &'static str,
     pub(super) values: &'a [f64],
-    other: &'a [f64],
+    /// The other of current and speed.
+    pub(super) other: &'a [f64],
     pub(super) activity: Activity,
-    sensor: Sensor,
+    pub(super) sensor: Sensor,
 }
 
 impl<'a> Watched<'a> {
-    pub(super) fn of(table: &'a Table, signal: Signal) -> Self {
-        let (current, speed) = (&table.current_a, &table.speed_rad_s);
-        let (key, values, other, sensor) = match signal {
-            Signal::Current => ("current_a", current, speed, table.current),
-            Signal::Speed => ("speed_rad_s", speed, current, table.speed),
+    /// Current and speed.
+    pub(super) fn both(table: &'a Table) -> [Self; 2] {
+        let [_, current, speed] = table.columns();
+        let of = |key, values, other, sensor| Self {
+            table,
+            key,
+            values,
+            other,
+            activity: Activity::of(values),
+            sensor,
         };
-        Self { table, signal, key, values, other, activity: Activity::of(values), sensor }
+        [
+            of("current_a", current, speed, table.current),
+            of("speed_rad_s", speed, current, table.speed),
+        ]
     }
 
     /// The longest stretch of one non-zero value in which it cannot have stood still.
@@ -68,7 +76,7 @@ impl<'a> Watched<'a> {
         if stops_suddenly(self.values, &self.sensor, rows) {
             return true;
         }
-        let expected = Expected::of(self.table, self.signal, |row| !rows.contains(&row));
+        let expected = Expected::of(self, |row| !rows.contains(&row));
         expected.is_some_and(|expected| {
             let off = |row: &usize| expected.beyond(*row, value, &self.sensor).abs() > 0.0;
             // The others need not expect another value from the first row on.
@@ -91,8 +99,8 @@ impl<'a> Watched<'a> {
         let stands = equal as f64 > 0.8 * lively.count() as f64;
         let is_held = stands && large >= 3 && 2 * large > jumps.len();
         (is_held && (self.is_the_voltage() || self.others_move())).then(|| {
-            let largest = jumps.iter().copied().fold(0.0, f64::max);
-            let fault = SignalFault::HeldLikeACommand { key: self.key, jumps: large, largest };
+            let (key, jumps, largest) = (self.key, large, largest(&jumps));
+            let fault = SignalFault::HeldLikeACommand { key, jumps, largest };
             Finding::refusal(Kind::Swapped, Fault::Signal(fault))
         })
     }
@@ -128,7 +136,7 @@ impl<'a> Watched<'a> {
             (value >= self.activity.most && self.activity.most > 0.0)
                 || (value <= self.activity.least && self.activity.least < 0.0)
         };
-        let expected = Expected::of(self.table, self.signal, |row| !is_limit(self.values[row]));
+        let expected = Expected::of(self, |row| !is_limit(self.values[row]));
         let cut: Vec<(f64, Vec<Range<usize>>)> = [self.activity.most, self.activity.least]
             .into_iter()
             .filter(|level| is_limit(*level))

@@ -10,7 +10,7 @@ use crate::belief::Settings;
 use crate::window_sums::{Sums, WINDOW_RESPONSES, trapezoid, windows};
 use drivebench_model::numerics::count;
 use drivebench_model::numerics::least_squares::fit_normal;
-use drivebench_model::numerics::statistics::{extent, finite, largest, median_step};
+use drivebench_model::numerics::statistics::{extent, finite, largest, mean, median_step};
 use drivebench_model::plant::{Input, MotorKey, RunScales, Scenario};
 use drivebench_model::signal;
 
@@ -51,9 +51,13 @@ impl Table {
         }
     }
 
+    /// Voltage, current and speed.
+    pub(super) fn columns(&self) -> [&[f64]; 3] {
+        [&self.voltage_v, &self.current_a, &self.speed_rad_s]
+    }
+
     pub(super) fn duration_s(&self) -> f64 {
-        let ends = self.time_s.first().zip(self.time_s.last());
-        ends.map_or(0.0, |(first, last)| last - first)
+        self.time_s.first().zip(self.time_s.last()).map_or(0.0, |(first, last)| last - first)
     }
 
     pub(super) fn voltage_is_of_a_supply(&self) -> bool {
@@ -80,8 +84,7 @@ pub fn is_of_a_supply(voltage_v: &[f64]) -> bool {
 /// Rows in which each signal that is measured has a value; all, where such rows are fewer than 100 or 2 %: a signal that is
 /// sampled more slowly than the rest has a value in one of some ten.
 fn whole_rows(scenario: &Scenario) -> Vec<usize> {
-    let columns = [&scenario.current_a, &scenario.speed_rad_s];
-    let mut measured = columns.to_vec();
+    let mut measured = vec![&scenario.current_a, &scenario.speed_rad_s];
     measured.retain(|values| values.iter().any(|value| value.is_finite()));
     let all = 0..scenario.samples();
     let is_whole = |row: &usize| measured.iter().all(|values| values[*row].is_finite());
@@ -120,11 +123,8 @@ impl Activity {
         let difference: f64 = present.windows(2).map(|w| (w[1] - w[0]).powi(2)).sum();
         let noise = (0.5 * difference / n).sqrt();
         let part = (count / 16).max(4);
-        let stray = present
-            .chunks(part)
-            .filter(|chunk| chunk.len() == part)
-            .map(|chunk| (chunk.iter().sum::<f64>() / part as f64 - mean).abs())
-            .fold(0.0, f64::max);
+        let parts = present.chunks_exact(part);
+        let stray = largest(parts.map(|chunk| chunk.iter().sum::<f64>() / part as f64 - mean));
         // Von Neumann's ratio of both sums of squares is 2 for white noise, less for anything with a memory.
         let is_coloured = difference < 1.5 * deviation;
         let changes = count > 1 && most > least;
@@ -169,8 +169,7 @@ pub(super) fn span(values: &[f64]) -> f64 {
 pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     let pairs = a.iter().zip(b).filter(|(a, b)| a.is_finite() && b.is_finite());
     let (a, b): (Vec<f64>, Vec<f64>) = pairs.unzip();
-    let n = a.len().max(1) as f64;
-    let [mean_a, mean_b] = [&a, &b].map(|values| values.iter().sum::<f64>() / n);
+    let (mean_a, mean_b) = (mean(&a), mean(&b));
     let [mut aa, mut bb, mut ab] = [0.0; 3];
     for (a, b) in a.iter().zip(&b) {
         aa += (a - mean_a).powi(2);
@@ -257,10 +256,17 @@ pub struct Balances {
 impl Balances {
     pub(super) fn of(roles: &Roles<'_>) -> Option<Self> {
         let sums = sums(roles);
-        let ([resistance, inductance, back_emf], voltage_error) =
-            fitted(sums.iter().map(|s| ([s.current, s.current_step, s.angle], s.voltage)))?;
-        let (inertia, torque_error) = torque_balance(&sums)?;
+        let voltage = sums.iter().map(|s| ([s.current, s.current_step, s.angle], s.voltage));
+        let ([resistance, inductance, back_emf], voltage_error) = fitted(voltage)?;
+        let turning = sums.iter().filter(|s| s.direction != 0.0);
+        let torque = |s: &Sums| ([s.speed_step, s.direction * s.length_s, s.angle], s.current);
+        let ([inertia, ..], torque_error) = fitted(turning.map(torque))?;
         Some(Self { resistance, inductance, back_emf, voltage_error, inertia, torque_error })
+    }
+
+    /// Shares of voltage and current that stay unexplained.
+    pub const fn left(&self) -> [f64; 2] {
+        [self.voltage_error, self.torque_error]
     }
 
     /// Both errors as one number.
@@ -278,22 +284,15 @@ impl Balances {
 
     /// The first coefficient that has the wrong sign for certain.
     pub fn impossible(&self) -> Option<(MotorKey, f64)> {
-        [
+        let mut signed = [
             (MotorKey::Resistance, self.resistance),
             (MotorKey::BackEmf, self.back_emf),
             (MotorKey::Inertia, self.inertia),
         ]
-        .into_iter()
-        .find(|(_, coefficient)| coefficient.is_negative())
-        .map(|(key, coefficient)| (key, coefficient.value))
+        .into_iter();
+        let (key, coefficient) = signed.find(|(_, coefficient)| coefficient.is_negative())?;
+        Some((key, coefficient.value))
     }
-}
-
-/// Inertia over the torque constant from current and speed, and the root mean square of the residual over that of the current.
-fn torque_balance(sums: &[Sums]) -> Option<(Coefficient, f64)> {
-    let turning = sums.iter().filter(|s| s.direction != 0.0);
-    let rows = turning.map(|s| ([s.speed_step, s.direction * s.length_s, s.angle], s.current));
-    fitted(rows).map(|([inertia, ..], error)| (inertia, error))
 }
 
 /// Both balances of columns that stand side by side, each as it is, over windows of the run of the reference; `None` where they do
@@ -323,8 +322,8 @@ pub(super) fn voltage_at_rest(roles: &Roles<'_>) -> Option<f64> {
 /// Back-EMF constant from voltage and speed alone, neglecting the drop R i.
 pub(super) fn back_emf_without_current(roles: &Roles<'_>) -> Option<Coefficient> {
     let turning = sums(roles).into_iter().filter(|s| s.direction != 0.0);
-    fitted(turning.map(|s| ([s.angle, s.direction * s.length_s], s.voltage)))
-        .map(|([back_emf, _], _)| back_emf)
+    let rows = turning.map(|s| ([s.angle, s.direction * s.length_s], s.voltage));
+    fitted(rows).map(|([back_emf, _], _)| back_emf)
 }
 
 fn sums(roles: &Roles<'_>) -> Vec<Sums> {
@@ -333,8 +332,7 @@ fn sums(roles: &Roles<'_>) -> Vec<Sums> {
     let [current, speed] = roles.signs;
     let signed = |window: &Range<usize>| {
         let voltage = trapezoid(roles.time_s, roles.voltage, window);
-        let signals = [roles.current, roles.speed];
-        let sums = Sums::over(window, roles.time_s, voltage, signals, zone);
+        let sums = Sums::over(window, roles.time_s, voltage, [roles.current, roles.speed], zone);
         Sums {
             current: current * sums.current,
             current_step: current * sums.current_step,
