@@ -21,9 +21,7 @@ pub fn mask(run: &mut Run) -> Vec<Masked> {
     for channel in CHANNELS {
         // Two different codes in one column are rare; three are not expected.
         for _ in 0..3 {
-            let Some((rows, code)) = code(run, channel) else {
-                break;
-            };
+            let Some((rows, code)) = code(run, channel) else { break };
             empty(run, channel, rows);
             found.push(code);
         }
@@ -49,9 +47,7 @@ const MEASURED: [Channel; 3] = [Channel::Current, Channel::Speed, Channel::Angle
 const INPUTS: [Channel; 3] = [Channel::Voltage, Channel::VoltageCmd, Channel::Torque];
 
 fn empty(run: &mut Run, channel: Channel, rows: impl IntoIterator<Item = usize>) {
-    let Some(cells) = run.column(channel) else {
-        return;
-    };
+    let Some(cells) = run.column(channel) else { return };
     let mut cells = cells.to_vec();
     for row in rows {
         cells[row] = f64::NAN;
@@ -81,18 +77,14 @@ fn is_figure(value: f64) -> bool {
 fn code(run: &Run, channel: Channel) -> Option<(Vec<usize>, Masked)> {
     let cells = run.column(channel)?;
     let (least, most) = extent(finite(cells));
-    let found = [least, most]
-        .into_iter()
-        .filter(|value| value.is_finite())
-        .find_map(|value| Some((value, extreme_code(run, channel, cells, value)?)));
-    let found = found.or_else(|| Some((0.0, zeros(run, channel, cells)?)));
-    let (value, rows) = found?;
+    let mut ends = [least, most].into_iter().filter(|value| value.is_finite());
+    let extreme = ends.find_map(|value| Some((value, extreme_code(run, channel, cells, value)?)));
+    let (value, rows) = extreme.or_else(|| Some((0.0, zeros(run, channel, cells)?)))?;
     let first_s = run.time_s()[rows[0]];
-    let others = (0..cells.len()).filter(|row| !is_same(cells[*row], value));
-    let others = extent(finite(&others.map(|row| cells[row]).collect::<Vec<_>>()));
-    let count = rows.len();
-    let code = Masked::Code { channel, value, rows: count, of: cells.len(), first_s, others };
-    Some((rows, code))
+    let is_other = |cell: &&f64| cell.is_finite() && !is_same(**cell, value);
+    let others = extent(cells.iter().filter(is_other));
+    let (count, of) = (rows.len(), cells.len());
+    Some((rows, Masked::Code { channel, value, rows: count, of, first_s, others }))
 }
 
 /// The rows of the least or the largest value where it is a code.
@@ -124,8 +116,7 @@ fn extreme_code(run: &Run, channel: Channel, cells: &[f64], value: f64) -> Optio
         is_far && (is_figure || blocks.len() >= BLOCKS) || mostly_alone && distance > 0.5 * range;
     // An excitation may well consist of pulses of one height.
     let may_pulse = INPUTS.contains(&channel);
-    let found = is_code && (is_figure || !may_pulse);
-    found.then(|| blocks.into_iter().flatten().collect())
+    (is_code && (is_figure || !may_pulse)).then(|| blocks.into_iter().flatten().collect())
 }
 
 /// Single zeros between two clear values that agree.
@@ -149,8 +140,7 @@ fn zeros(run: &Run, channel: Channel, cells: &[f64]) -> Option<Vec<usize>> {
 
 /// The values on both sides of a block.
 fn neighbours(cells: &[f64], rows: &Range<usize>) -> Option<(f64, f64)> {
-    let before = rows.start.checked_sub(1).map(|row| cells[row]);
-    before.zip(cells.get(rows.end).copied())
+    rows.start.checked_sub(1).map(|row| cells[row]).zip(cells.get(rows.end).copied())
 }
 
 /// Whether the values on both sides of a block agree.
@@ -172,12 +162,10 @@ fn input_stands(run: &Run, channel: Channel, rows: &Range<usize>) -> bool {
 
 /// Rows in which every signal stands still to the bit, one of them from the midst of its noise.
 fn frozen_telemetry(run: &mut Run) -> Option<Masked> {
-    let columns = CHANNELS.into_iter();
-    let columns: Vec<(Channel, &[f64])> =
-        columns.filter_map(|channel| Some((channel, run.column(channel)?))).collect();
+    let column = |channel| Some((channel, run.column(channel)?));
+    let columns: Vec<(Channel, &[f64])> = CHANNELS.into_iter().filter_map(column).collect();
     let stands = |row: usize| {
-        let mut columns = columns.iter();
-        columns.all(|(_, cells)| is_same(cells[row - 1], cells[row]) || cells[row].is_nan())
+        columns.iter().all(|(_, cells)| is_same(cells[row - 1], cells[row]) || cells[row].is_nan())
     };
     let measured = columns.iter().filter(|own| MEASURED.contains(&own.0));
     let measured: Vec<(&[f64], Sensor)> =
@@ -188,10 +176,7 @@ fn frozen_telemetry(run: &mut Run) -> Option<Masked> {
             cells[rows.start].is_finite() && stops_suddenly(cells, sensor, rows)
         };
         // A motor at rest stands still with all its signals; that it runs shows in its speed, or in its current.
-        let runs = |channel: Channel| {
-            let cells = run.column(channel)?;
-            Some(cells[rows.start].abs() > 0.0)
-        };
+        let runs = |channel| run.column(channel).map(|cells| cells[rows.start].abs() > 0.0);
         let runs = runs(Channel::Speed).or_else(|| runs(Channel::Current));
         runs.unwrap_or(false) && measured.iter().any(stops)
     });

@@ -40,11 +40,8 @@ pub fn speed_over_angle(run: &Run) -> Option<f64> {
         return None;
     }
     let (angle, speed) = (run.column(Channel::Angle)?, run.column(Channel::Speed)?);
-    let rows = run
-        .time_s()
-        .iter()
-        .zip(angle.iter().zip(speed))
-        .map(|(time, (angle, speed))| [*time, *angle, *speed]);
+    let rows = run.time_s().iter().zip(angle).zip(speed);
+    let rows = rows.map(|((time, angle), speed)| [*time, *angle, *speed]);
     let rows: Vec<[f64; 3]> = rows.filter(|row| row.iter().all(|cell| cell.is_finite())).collect();
     let area = |pair: &[[f64; 3]]| 0.5 * (pair[0][2] + pair[1][2]) * (pair[1][0] - pair[0][0]);
     let window = |chunk: &[[f64; 3]]| {
@@ -53,12 +50,9 @@ pub fn speed_over_angle(run: &Run) -> Option<f64> {
     };
     let windows: Vec<[f64; 2]> = rows.chunks_exact(10).map(window).collect();
     let largest = largest(windows.iter().map(|window| window[0]));
-    let ratios: Vec<f64> = windows
-        .iter()
-        .filter(|[travel, _]| travel.abs() > 0.3 * largest)
-        .map(|[travel, turned]| travel / turned)
-        .filter(|ratio| ratio.is_finite())
-        .collect();
+    let turning = windows.iter().filter(|[travel, _]| travel.abs() > 0.3 * largest);
+    let ratios = turning.map(|[travel, turned]| travel / turned);
+    let ratios: Vec<f64> = ratios.filter(|ratio| ratio.is_finite()).collect();
     let middle = median(&ratios);
     (ratios.len() >= 8 && robust_deviation(&ratios) < 0.1 * middle.abs()).then_some(middle)
 }
@@ -86,11 +80,8 @@ pub(super) fn against_angle(run: &Run) -> Option<Finding> {
     }
     Some(if is(1.0 / DEGREES) || is(TAU) {
         let (unit, to_rad) = angle_units[usize::from(over_angle >= 1.0)];
-        Finding::caution(
-            Kind::Unit,
-            &[],
-            Fault::Unit(UnitFault::Angle { unit, to_rad, over_angle }),
-        )
+        let fault = UnitFault::Angle { unit, to_rad, over_angle };
+        Finding::caution(Kind::Unit, &[], Fault::Unit(fault))
     } else if is(-1.0) {
         Finding::caution(Kind::Reversed, &[], Fault::Unit(UnitFault::AngleReversed { over_angle }))
     } else {
@@ -214,8 +205,7 @@ fn against_torque(run: &Run, back_emf: f64) -> Option<Finding> {
     let both = torque.iter().zip(current).filter(|(t, i)| t.is_finite() && i.is_finite());
     let power: f64 = both.clone().map(|(_, i)| i * i).sum();
     let n_m_per_a = both.map(|(t, i)| t * i).sum::<f64>() / power;
-    let ratio = n_m_per_a / back_emf;
-    let unit = nearest(ratio, &speed_units(), Settings::UNIT)?;
+    let unit = nearest(n_m_per_a / back_emf, &speed_units(), Settings::UNIT)?;
     Some(not_rad_s(unit, Evidence::Torque { n_m_per_a, back_emf }))
 }
 
@@ -229,29 +219,18 @@ fn electrical_sizes(table: &Table, confirmed: bool) -> Vec<Finding> {
     // More than a megawatt is refused, not only doubted.
     let is_absurd = amperes * volts > 1e6 && milliamperes;
     let judged = |fault: UnitFault| {
-        let touched = [
-            MotorKey::Resistance,
-            MotorKey::Inductance,
-            MotorKey::TorqueConstant,
-            MotorKey::Inertia,
-            MotorKey::LoadTorque,
-        ];
-        if is_absurd {
-            Finding::refusal(Kind::Unit, Fault::Unit(fault))
-        } else if many_volts {
-            Finding::of_all(Kind::Magnitude, false, Fault::Unit(fault))
-        } else {
-            Finding::caution(Kind::Magnitude, &touched, Fault::Unit(fault))
+        use MotorKey::{Inductance, Inertia, LoadTorque, Resistance, TorqueConstant};
+        let of_current = [Resistance, Inductance, TorqueConstant, Inertia, LoadTorque];
+        let fault = Fault::Unit(fault);
+        match (is_absurd, many_volts) {
+            (true, _) => Finding::refusal(Kind::Unit, fault),
+            (_, true) => Finding::of_all(Kind::Magnitude, false, fault),
+            _ => Finding::caution(Kind::Magnitude, &of_current, fault),
         }
     };
-    let mut findings = Vec::new();
-    if many_volts {
-        findings.push(judged(UnitFault::Volts { key: table.voltage_key, volts }));
-    }
-    if milliamperes {
-        findings.push(judged(UnitFault::Amperes { amperes, volts }));
-    }
-    findings
+    let of_volts = many_volts.then_some(UnitFault::Volts { key: table.voltage_key, volts });
+    let of_amperes = milliamperes.then_some(UnitFault::Amperes { amperes, volts });
+    of_volts.into_iter().chain(of_amperes).map(judged).collect()
 }
 
 /// Speeds that hardly any motor has; `confirmed`: the unit is known otherwise, `by_angle`: an angle is its integral, so that
@@ -403,33 +382,25 @@ pub fn of_header(target: &str, header: &str, scaled: bool) -> Option<Finding> {
         return None;
     }
     let header_lower = header.to_lowercase();
-    let words: Vec<&str> = header_lower
-        .split(|letter: char| letter.is_whitespace() || "_,;:()[]{}|\"".contains(letter))
-        .collect();
+    let is_break = |letter: char| letter.is_whitespace() || "_,;:()[]{}|\"".contains(letter);
+    let words: Vec<&str> = header_lower.split(is_break).collect();
     let ColumnUnit { name: unit, factor } =
         unit(target, |name| words.contains(&name)).filter(|unit| unit.factor != "1")?;
     let (target, header) = (target.to_owned(), header.to_owned());
-    Some(Finding::refusal(
-        Kind::Unit,
-        Fault::Unit(UnitFault::Header { target, header, unit, factor }),
-    ))
+    let fault = UnitFault::Header { target, header, unit, factor };
+    Some(Finding::refusal(Kind::Unit, Fault::Unit(fault)))
 }
 
 /// Unit and factor of stamps that can be no seconds: `first` as it stands in the file, `step` to the next one.
 pub fn unit_of_stamps(first: f64, step: f64) -> Option<ColumnUnit> {
     // Seconds since 1970 of the years 2000 to 2100.
     let is_epoch = |factor: f64| (9.4e8..4.2e9).contains(&(first * factor));
-    let [ms, us, ns] = [
-        ("ms since 1970", "0.001"),
-        ("us since 1970", "0.000001"),
-        ("ns since 1970", "0.000000001"),
-    ];
     let (name, factor) = if is_epoch(1e-3) {
-        ms
+        ("ms since 1970", "0.001")
     } else if is_epoch(1e-6) {
-        us
+        ("us since 1970", "0.000001")
     } else if is_epoch(1e-9) {
-        ns
+        ("ns since 1970", "0.000000001")
     } else if (25_000.0..75_000.0).contains(&first) && step > 0.0 && step < 5e-6 {
         // Of the years 1968 to 2105; as seconds they would be more than 200,000 rows a second.
         ("days of a spreadsheet", "86400")
