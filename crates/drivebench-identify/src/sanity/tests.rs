@@ -22,8 +22,7 @@ type Change = fn(&mut Columns);
 
 fn levels() -> Vec<(f64, f64)> {
     let levels = [0.0, 20.0, -25.0, 60.0, -10.0, 35.0, -50.0, 15.0, 30.0];
-    let steps = levels.into_iter().enumerate();
-    steps.map(|(step, volts)| (0.5 * step as f64, volts)).collect()
+    levels.into_iter().enumerate().map(|(step, volts)| (0.5 * step as f64, volts)).collect()
 }
 
 /// Levels in both directions, and the angle that the speed makes.
@@ -52,9 +51,14 @@ fn scale(values: &mut [f64], factor: f64) {
     }
 }
 
+fn round(values: &mut [f64], quantum: f64) {
+    for value in values {
+        *value = (*value / quantum).round() * quantum;
+    }
+}
+
 fn every_41st(values: &mut [f64], code: f64) {
-    let cells = values.iter_mut().step_by(41);
-    cells.for_each(|value| *value = code);
+    values.iter_mut().step_by(41).for_each(|value| *value = code);
 }
 
 fn hold(values: &mut [f64], rows: std::ops::Range<usize>) {
@@ -101,13 +105,8 @@ impl Columns {
     }
 
     fn round(&mut self, current_quantum: f64, speed_quantum: f64) {
-        for (values, quantum) in
-            [(&mut self.current, current_quantum), (&mut self.speed, speed_quantum)]
-        {
-            for value in values {
-                *value = (*value / quantum).round() * quantum;
-            }
-        }
+        round(&mut self.current, current_quantum);
+        round(&mut self.speed, speed_quantum);
     }
 
     /// A speed as edges of `lines` a turn counted over each period.
@@ -132,25 +131,28 @@ impl Columns {
 
     /// A speed by a counter that overflows to the other sign.
     fn overflow(&mut self, quantum: f64, counts: f64) {
-        for value in &mut self.speed {
-            *value = (*value / quantum).round() * quantum;
-            *value -= (*value / (quantum * counts)).round() * quantum * counts;
-        }
+        round(&mut self.speed, quantum);
+        let wrap =
+            |value: &mut f64| *value -= (*value / (quantum * counts)).round() * quantum * counts;
+        self.speed.iter_mut().for_each(wrap);
     }
 }
 
 /// What was masked, and what was found in the rest.
 fn judged(mut run: Run, model: &Model) -> (Vec<Masked>, Vec<Finding>) {
     let masked = mask(&mut run);
-    let scenario = Scenario::from_run(&run).unwrap();
-    (masked, examine(&run, &scenario, model))
+    (masked, examine(&run, &Scenario::from_run(&run).unwrap(), model))
 }
 
 #[track_caller]
 fn assert_sound(name: &str, run: Run, model: &Model) {
     let (masked, findings) = judged(run, model);
-    let is_sound = masked.is_empty() && findings.is_empty();
-    assert!(is_sound, "{name}: {masked:?} {findings:#?}");
+    assert!(masked.is_empty() && findings.is_empty(), "{name}: {masked:?} {findings:#?}");
+}
+
+/// Whether a text has all parts, which bars separate.
+fn has_parts(text: &str, parts: &str) -> bool {
+    parts.split('|').all(|part| text.contains(part))
 }
 
 /// The first finding, which has this kind and these parts in its fault, separated by bars.
@@ -160,9 +162,8 @@ fn assert_finds(run: Run, model: &Model, kind: Kind, parts: &str) -> Vec<Finding
     let Some(first) = findings.first() else {
         panic!("{parts}: nothing found, {masked:?}");
     };
-    let text = format!("{:?}", first.fault);
-    let has_parts = parts.split('|').all(|part| text.contains(part));
-    assert!(first.kind == kind && has_parts, "{parts}: {findings:#?}");
+    let is_it = first.kind == kind && has_parts(&format!("{:?}", first.fault), parts);
+    assert!(is_it, "{parts}: {findings:#?}");
     findings
 }
 
@@ -176,8 +177,7 @@ fn assert_refused(run: Run, model: &Model, kind: Kind, parts: &str) {
 #[track_caller]
 fn assert_doubted(run: Run, model: &Model, kind: Kind, parts: &str) -> Finding {
     let mut findings = assert_finds(run, model, kind, parts);
-    let is_caution = findings.len() == 1 && !findings[0].refuses;
-    assert!(is_caution, "{parts}: {findings:#?}");
+    assert!(findings.len() == 1 && !findings[0].refuses, "{parts}: {findings:#?}");
     findings.remove(0)
 }
 
@@ -241,8 +241,7 @@ fn exchanged_and_reversed_columns_are_named() {
             std::mem::swap(first[a], second[0]);
             let mut place = [0, 1, 2];
             place.swap(a, b);
-            let swapped = format!("Exchanged|place: {place:?}");
-            assert_refused(it.run(), &none, Kind::Swapped, &swapped);
+            assert_refused(it.run(), &none, Kind::Swapped, &format!("Exchanged|place: {place:?}"));
         }
     }
     for signal in 0..3 {
@@ -265,32 +264,21 @@ fn units_are_named_with_their_factor() {
         change(&mut it);
         it
     };
-    let cases: [(&str, Change); 2] = [
-        ("Amperes", |it| scale(&mut it.current, 1e3)),
-        ("Armature|\"ms\"", |it| scale(&mut it.time_s, 1e3)),
+    let cases: [(&Model, &str, Change); 5] = [
+        (&none, "Amperes", |it| scale(&mut it.current, 1e3)),
+        (&none, "Armature|\"ms\"", |it| scale(&mut it.time_s, 1e3)),
+        (&known, "\"mA\"|factor: 1000.0", |it| scale(&mut it.current, 1e3)),
+        (&known, "\"r/min\"|factor: 9.549", |it| scale(&mut it.speed, PER_MINUTE)),
+        (&known, "\"turns/s\"|factor: 0.159", |it| scale(&mut it.speed, 1.0 / TAU)),
     ];
-    for (parts, change) in cases {
-        assert_refused(changed(change).run(), &none, Kind::Unit, parts);
-    }
-    let cases: [(&str, Change); 3] = [
-        ("\"mA\"|factor: 1000.0", |it| scale(&mut it.current, 1e3)),
-        ("\"r/min\"|factor: 9.549", |it| {
-            scale(&mut it.speed, PER_MINUTE);
-        }),
-        ("\"turns/s\"|factor: 0.159", |it| {
-            scale(&mut it.speed, 1.0 / TAU);
-        }),
-    ];
-    for (parts, change) in cases {
-        assert_refused(changed(change).run(), &known, Kind::Unit, parts);
+    for (model, parts, change) in cases {
+        assert_refused(changed(change).run(), model, Kind::Unit, parts);
     }
     let fast = changed(|it| scale(&mut it.speed, PER_MINUTE));
-    let parts = "\"r/min\"|factor: 9.549|Angle";
-    assert_refused(fast.with_angle(), &none, Kind::Unit, parts);
+    assert_refused(fast.with_angle(), &none, Kind::Unit, "\"r/min\"|factor: 9.549|Angle");
     let mut run = fast.run();
     let torque = fast.current.iter().map(|i| 0.3538 * i).collect();
-    let channel = Channel::Torque;
-    run.set_column(channel, torque, Origin::Estimated).unwrap();
+    run.set_column(Channel::Torque, torque, Origin::Estimated).unwrap();
     assert_refused(run, &none, Kind::Unit, "\"r/min\"|Torque");
     let degrees = changed(|it| scale(&mut it.speed, 180.0 / PI));
     assert_refused(degrees.with_angle(), &none, Kind::Unit, "\"deg/s\"|factor: 57.29");
@@ -306,17 +294,13 @@ fn units_are_named_with_their_factor() {
     let sizes: [(&str, Change); 3] = [
         ("by_angle: false", |it| scale(&mut it.speed, PER_MINUTE)),
         ("Fast|back_emf: Some", |it| scale(&mut it.speed, 180.0 / PI)),
-        ("Volts|\"voltage_v\"", |it| {
-            scale(&mut it.voltage, 1e3);
-        }),
+        ("Volts|\"voltage_v\"", |it| scale(&mut it.voltage, 1e3)),
     ];
     doubts(&none, Kind::Magnitude, &sizes);
     let factors: [(&str, Change); 4] = [
         ("EdgesForLines", |it| scale(&mut it.speed, 4.0)),
         ("LinesForEdges", |it| scale(&mut it.speed, 0.25)),
-        ("Gear|ratio: ", |it| {
-            scale(&mut it.speed, 0.05);
-        }),
+        ("Gear|ratio: ", |it| scale(&mut it.speed, 0.05)),
         ("Gear|ratio: 0.14", |it| scale(&mut it.speed, 7.0)),
     ];
     doubts(&known, Kind::Unit, &factors);
@@ -343,11 +327,10 @@ fn signals_that_do_not_move_are_distinguished() {
         speed: speed.unwrap_or_else(|| good.speed.clone()),
         ..good.clone()
     };
-    let rests = [&good.current, &good.speed].map(|values| Some(noise(values, 0.0)));
-    let [current, speed] = rests;
-    let still = of(Some(0.0), current, speed);
-    let (current, speed) = (noise(&good.current, 1.29), noise(&good.speed, 63.8));
-    let steady = of(Some(24.0), Some(current), Some(speed));
+    let with_noise = |volts, amperes, rad_s| {
+        of(Some(volts), Some(noise(&good.current, amperes)), Some(noise(&good.speed, rad_s)))
+    };
+    let (still, steady) = (with_noise(0.0, 0.0, 0.0), with_noise(24.0, 1.29, 63.8));
     let coasting = good.time_s.iter().map(|t| 150.0 - 30.0 * t).collect();
     let open = of(Some(0.0), Some(vec![0.0; rows]), Some(coasting));
     // No shaft and no winding stands still between jumps.
@@ -380,8 +363,7 @@ fn a_stretch_with_open_terminals_is_found_within_a_record() {
         it.current[row] = it.current[row % 200];
         it.speed[row] = begin * (1.0 - 0.4 * (it.time_s[row] - it.time_s[1300]));
     }
-    let parts = "CoastDownInside|from_s: 2.6";
-    assert_refused(it.run(), &unknown(), Kind::OpenCircuit, parts);
+    assert_refused(it.run(), &unknown(), Kind::OpenCircuit, "CoastDownInside|from_s: 2.6");
     // Shorted terminals brake: zero volt at speed is a level like any other.
     let mut levels = levels();
     levels.push((4.2, 0.0));
@@ -398,21 +380,14 @@ fn cells_that_are_no_measurement_are_masked_and_counted() {
         ("value: 327.67", |it| every_41st(&mut it.current, 327.67)),
         ("value: 65535.0", |it| every_41st(&mut it.speed, 65535.0)),
         ("value: -200.0", |it| every_41st(&mut it.current, -200.0)),
-        ("channel: Voltage, value: 655.35", |it| {
-            every_41st(&mut it.voltage, 655.35);
-        }),
-        ("value: 0.0", |it| {
-            every_41st(&mut it.speed, 0.0);
-        }),
-        ("rows: 1, of: 2250, first_s: 0.0", |it| {
-            it.speed[0] = 32767.0;
-        }),
+        ("channel: Voltage, value: 655.35", |it| every_41st(&mut it.voltage, 655.35)),
+        ("value: 0.0", |it| every_41st(&mut it.speed, 0.0)),
+        ("rows: 1, of: 2250, first_s: 0.0", |it| it.speed[0] = 32767.0),
         ("value: -999.0, rows: 60", |it| it.speed[900..960].fill(-999.0)),
         ("SampledAndHeld|every_s: 0.0", |it| it.renew(10)),
         ("[Voltage, Current, Speed], stretches: 3, longest_s: 0.39|from_s: 1.4|rows: 597", |it| {
             for begin in [700, 1300, 1800] {
-                let signals = it.signals().into_iter();
-                signals.for_each(|values| hold(values, begin..begin + 200));
+                it.signals().into_iter().for_each(|values| hold(values, begin..begin + 200));
             }
         }),
     ];
@@ -421,18 +396,15 @@ fn cells_that_are_no_measurement_are_masked_and_counted() {
         change(&mut it);
         let (masked, findings) = judged(it.run(), &unknown());
         let text = format!("{masked:?}");
-        let has_parts = parts.split('|').all(|part| text.contains(part));
-        assert!(has_parts && findings.is_empty(), "{parts}: {text} {findings:#?}");
+        assert!(has_parts(&text, parts) && findings.is_empty(), "{parts}: {text} {findings:#?}");
     }
     // A telemetry that froze is a hole of the record.
     let mut it = columns(0.002, 32);
-    let signals = it.signals().into_iter();
-    signals.for_each(|values| hold(values, 1300..1500));
+    it.signals().into_iter().for_each(|values| hold(values, 1300..1500));
     let mut run = it.run();
     assert_eq!(mask(&mut run).len(), 1);
     let holes = Scenario::from_run(&run).unwrap().unknown_input;
-    let lost: Vec<usize> = holes.iter().map(|hole| hole.lost_rows).collect();
-    assert_eq!(lost, [199]);
+    assert_eq!(holes.iter().map(|hole| hole.lost_rows).collect::<Vec<_>>(), [199]);
     // A motor at rest stands still with all its signals, and nothing froze.
     let mut it = columns(0.002, 32);
     it.speed[..200].fill(0.0);
@@ -444,29 +416,19 @@ fn cells_that_are_no_measurement_are_masked_and_counted() {
 fn failing_sensors_are_named() {
     use Kind::{Clipped, Frozen, Outlier, Overflow};
     let cases: [(Kind, &str, Change); 9] = [
-        (Overflow, "counts: Some(32768.0)|jump: 131.0", |it| {
-            it.overflow(0.004, 32768.0);
-        }),
+        (Overflow, "counts: Some(32768.0)|jump: 131.0", |it| it.overflow(0.004, 32768.0)),
         (Overflow, "counts: Some(256.0)|jump: 230.", |it| it.overflow(0.9, 256.0)),
         (Frozen, "Froze { key: \"speed_rad_s\"", |it| {
             it.count_edges(500.0);
             hold(&mut it.speed, 700..1100);
         }),
-        (Frozen, "rows: 600, from_s: 1.4", |it| {
-            hold(&mut it.speed, 700..1300);
-        }),
-        (Frozen, "Froze { key: \"current_a\"", |it| {
-            hold(&mut it.current, 700..900);
-        }),
-        (Clipped, "levels: [70.0]", |it| {
-            it.speed.iter_mut().for_each(|w| *w = w.min(70.0));
-        }),
+        (Frozen, "rows: 600, from_s: 1.4", |it| hold(&mut it.speed, 700..1300)),
+        (Frozen, "Froze { key: \"current_a\"", |it| hold(&mut it.current, 700..900)),
+        (Clipped, "levels: [70.0]", |it| it.speed.iter_mut().for_each(|w| *w = w.min(70.0))),
         (Clipped, "levels: [9.0, -9.0]", |it| {
             it.current.iter_mut().for_each(|i| *i = i.clamp(-9.0, 9.0));
         }),
-        (Clipped, "CutOff|8.0", |it| {
-            it.current.iter_mut().for_each(|i| *i = i.clamp(-8.0, 8.0));
-        }),
+        (Clipped, "CutOff|8.0", |it| it.current.iter_mut().for_each(|i| *i = i.clamp(-8.0, 8.0))),
         (Outlier, "Outlier", |it| it.speed[700] += 900.0),
     ];
     for (kind, parts, change) in cases {
@@ -478,8 +440,7 @@ fn failing_sensors_are_named() {
 
 #[test]
 fn a_frozen_encoder_is_neither_open_terminals_nor_rest() {
-    let levels = [0.0, 40.0, 70.0, -50.0, 60.0, 0.0];
-    let events = held([0.0, 0.3, 1.0, 1.8, 2.6, 3.2], levels);
+    let events = held([0.0, 0.3, 1.0, 1.8, 2.6, 3.2], [0.0, 40.0, 70.0, -50.0, 60.0, 0.0]);
     let scenario = record(&paper(), events, 0.001, 4.0, 5);
     for (at, parts) in
         [(97.125, "Froze { key: \"speed_rad_s\", value: 97.125"), (0.0, "SpeedDead { from_s: 1.4")]
