@@ -36,12 +36,9 @@ pub fn absolute(
     let none = |code: Reason, reason: &str| -> Vec<ParameterEstimate> {
         keys.map(|key| verdict::unknown(key, code, reason)).to_vec()
     };
-    let (Some((a1, s1)), Some((a2, s2))) = (
-        without.over_torque_constant(MotorKey::Inertia),
-        with.over_torque_constant(MotorKey::Inertia),
-    ) else {
-        let reason = "the inertia is not observable in one of the two runs";
-        return none(Reason::NotInEveryRun, reason);
+    let inertias = [without, with].map(|run| run.over_torque_constant(MotorKey::Inertia));
+    let [Some((a1, s1)), Some((a2, s2))] = inertias else {
+        return none(Reason::NotInEveryRun, "the inertia is not observable in one of the two runs");
     };
     let difference = a2 - a1;
     let difference_std = s1.hypot(s2);
@@ -57,13 +54,11 @@ pub fn absolute(
     let kt_std = kt * difference_std / difference;
     let inertia_std = kt / difference * (a2 * s1).hypot(a1 * s2);
     let key = MotorKey::LoadTorque;
-    let load = match without.over_torque_constant(key) {
-        Some((load, std)) => judged(key, kt * load, (kt * std).hypot(load * kt_std)),
-        None => verdict::unknown(
-            key,
-            Reason::NotInEveryRun,
-            "not observable in the run without the added inertia",
-        ),
+    let load = if let Some((load, std)) = without.over_torque_constant(key) {
+        judged(key, kt * load, (kt * std).hypot(load * kt_std))
+    } else {
+        let reason = "not observable in the run without the added inertia";
+        verdict::unknown(key, Reason::NotInEveryRun, reason)
     };
     vec![
         judged(MotorKey::TorqueConstant, kt, kt_std),

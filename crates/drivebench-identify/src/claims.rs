@@ -115,8 +115,7 @@ impl Claim {
             Weight::Dependent => parameter.unsettle(Reason::SignalOrigin, &*self.reason),
             Weight::Wrong => {
                 if matches!(parameter.verdict, Verdict::Settled | Verdict::Searching) {
-                    let reason = self.reason.clone();
-                    parameter.set(Verdict::Invalid, Reason::SignalOrigin, reason);
+                    parameter.set(Verdict::Invalid, Reason::SignalOrigin, &*self.reason);
                 }
             }
         }
@@ -229,9 +228,7 @@ fn of_speed(run: &Run, input: Input) -> Option<Claim> {
 fn full_duty(run: &Run) -> bool {
     let terminal = run.side(Channel::Voltage) != Some(Side::Supply);
     let voltage = run.column(Channel::Voltage).filter(|_| terminal);
-    let Some((bus, voltage)) = run.column(Channel::Bus).zip(voltage) else {
-        return false;
-    };
+    let Some((bus, voltage)) = run.column(Channel::Bus).zip(voltage) else { return false };
     let largest = largest(voltage);
     let rows = bus.iter().zip(voltage);
     let energised = rows.filter(|(bus, u)| bus.is_finite() && is_energised(**u, largest));
@@ -249,14 +246,12 @@ fn measured_agrees(run: &Run, command: Channel) -> bool {
     }
     let commands: Vec<(f64, f64)> = run.points(command).collect();
     let largest = largest(commands.iter().map(|command| command.1));
-    let differences: Vec<f64> = run
-        .points(Channel::Voltage)
-        .filter_map(|(time_s, measured)| {
-            let command = signal::held(&commands, time_s)?;
-            // A drop reduces the magnitude of the voltage.
-            is_energised(command, largest).then(|| (command - measured) * command.signum())
-        })
-        .collect();
+    let difference = |(time_s, measured): (f64, f64)| {
+        let command = signal::held(&commands, time_s)?;
+        // A drop reduces the magnitude of the voltage.
+        is_energised(command, largest).then(|| (command - measured) * command.signum())
+    };
+    let differences: Vec<f64> = run.points(Channel::Voltage).filter_map(difference).collect();
     let drop = median(&differences);
     differences.len() >= 20 && drop.abs() < 0.01 * largest
 }
@@ -303,9 +298,8 @@ mod tests {
     fn verdicts_and_notes_follow_the_origins() {
         use Verdict::{Invalid, Searching, Settled};
         let (all, none) = ([Settled; 5], [Invalid; 5]);
-        let estimated_speed = || {
-            let mut run = run(Origin::Measured);
-            run.set_origin(Channel::Speed, Origin::Estimated);
+        let estimated = |mut run: Run, channel| {
+            run.set_origin(channel, Origin::Estimated);
             run
         };
         let with_bus = |bus_v: f64| {
@@ -320,12 +314,9 @@ mod tests {
             run.set_column(Channel::VoltageCmd, command, Origin::Commanded).unwrap();
             run
         };
-        let torque = || {
-            let columns = [Channel::Torque, Channel::Speed].map(|name| (name, vec![1.0; 100]));
-            let mut run = run_of(every(0.01, 1.0), columns);
-            run.set_origin(Channel::Torque, Origin::Estimated);
-            run
-        };
+        let columns = [Channel::Torque, Channel::Speed].map(|name| (name, vec![1.0; 100]));
+        let torque = estimated(run_of(every(0.01, 1.0), columns), Channel::Torque);
+        let speed = estimated(run(Origin::Measured), Channel::Speed);
         let of_speed = [Settled, Settled, Searching, Searching, Searching];
         let of_torque = [Settled, Settled, Settled, Searching, Searching];
         for (name, run, verdicts, note) in [
@@ -338,8 +329,8 @@ mod tests {
             ("full duty", with_bus(24.2), all, ""),
             ("half duty", with_bus(48.0), none, "supply"),
             ("supply", of_supply(Channel::Voltage), none, "supply"),
-            ("speed", estimated_speed(), of_speed, "not independent"),
-            ("torque", torque(), of_torque, "torque constant it is"),
+            ("speed", speed, of_speed, "not independent"),
+            ("torque", torque, of_torque, "torque constant it is"),
         ] {
             let (parameters, notes) = limited(&run);
             let found: Vec<Verdict> = parameters.iter().map(|p| p.verdict).collect();
@@ -360,8 +351,7 @@ mod tests {
         parameters[0].verdict = Verdict::Fixed;
         parameters[1] = unknown(MotorKey::Inductance, Reason::SampledTooSlowly, "too slow");
         let before = parameters.clone();
-        let scenario = Scenario::from_run(&supply).unwrap();
-        limit(&mut parameters, &supply, &scenario);
+        limit(&mut parameters, &supply, &Scenario::from_run(&supply).unwrap());
         assert_eq!(parameters[..2], before[..2]);
         assert_eq!(parameters[2].verdict, Verdict::Invalid);
     }
@@ -378,8 +368,7 @@ mod tests {
             found.map(|parameter| parameter.reason.unwrap())
         };
         let open = Verdict::NotObservable;
-        let all = reasons(&run, open);
-        assert!(all.iter().all(|reason| reason.contains("does not excite")));
+        assert!(reasons(&run, open).iter().all(|reason| reason.contains("does not excite")));
         put(&mut run, Channel::Current, vec![f64::NAN; 100]);
         let [resistance, back_emf, inertia] = reasons(&run, open);
         assert!(resistance.contains("R J and R Mc"), "{resistance}");

@@ -30,12 +30,10 @@ pub struct Winding {
 pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let times = &scenario.sample_time_s;
     let period_s = median_step(times);
-    let events = &scenario.events;
-    let currents: Vec<f64> = events.iter().map(|event| event.1).collect();
-    let least_a = RELEASED * largest(&currents);
+    let least_a = RELEASED * largest(scenario.events.iter().map(|event| event.1));
     let steps_s = &scenario.current_steps_s;
-    let (mut rows, mut steps): (Vec<[f64; 4]>, Vec<usize>) = (Vec::new(), Vec::new());
-    let mut rates: Vec<f64> = Vec::new();
+    // Regressors and voltage; the step before each row, and the rate of the speed.
+    let (mut rows, mut steps, mut rates) = (Vec::new(), Vec::new(), Vec::new());
     // Over some samples on either side, where the current is constant as well.
     let rate = |sample: usize| {
         let (from, to) = (sample.saturating_sub(1), (sample + 1).min(times.len() - 1));
