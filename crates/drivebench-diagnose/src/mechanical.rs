@@ -153,8 +153,7 @@ impl Balance {
             let own = || (fit.rms_n_m.max(f64::MIN_POSITIVE), FloorSource::None);
             floor.map_or_else(own, |floor| (floor, FloorSource::Standstill))
         });
-        let balance = Self { sides, unit_n_m, source };
-        Ok((balance, baseline))
+        Ok((Self { sides, unit_n_m, source }, baseline))
     }
 
     /// A complete model on these rows; only times of events are estimated anew.
@@ -201,8 +200,7 @@ fn standstill_floor(
         let currents = &scenario.current_a[rest.start..end];
         currents.iter().map(|current| kt * current).collect()
     };
-    let driving: Vec<f64> = driving.into_iter().filter(|v| v.is_finite()).collect();
-    let torque = statistics::variance(&driving).max(0.0).sqrt();
+    let torque = statistics::variance(&statistics::finite(&driving)).max(0.0).sqrt();
     let torque = if torque.is_finite() { torque } else { 0.0 };
     let inertia = baseline.model.motor.get(MotorKey::Inertia)?;
     let floor = (torque * rows.gain).hypot(inertia * still.speed_rad_s * rows.rate_gain);
@@ -217,14 +215,15 @@ pub(super) struct BalanceFit {
     rms_n_m: f64,
 }
 
+/// The effect of a slot; none of a slot of the motor.
+fn effect_of(model: &Model, slot: &Slot) -> Option<&'static dyn Effect> {
+    let Slot::Effect { index, .. } = slot else { return None };
+    Some(model.effects[*index].effect)
+}
+
 /// Whether a slot is of an effect that acts in the balance of torques.
 fn acts(model: &Model, slot: &Slot) -> bool {
-    match slot {
-        Slot::Motor(_) => false,
-        Slot::Effect { index, .. } => {
-            model.effects[*index].effect.card().enters.includes(Equation::Torque)
-        }
-    }
+    effect_of(model, slot).is_some_and(|effect| effect.card().enters.includes(Equation::Torque))
 }
 
 fn is_coefficient(slot: &Slot) -> bool {
@@ -233,8 +232,8 @@ fn is_coefficient(slot: &Slot) -> bool {
 
 /// The linear unknowns of the torque balance: motor slots are there even where the model leaves them out.
 fn unknowns(model: &Model) -> Vec<Slot> {
-    let effects = model.slots().into_iter();
-    let effects = effects.filter(|slot| is_coefficient(slot) && acts(model, slot));
+    let is_unknown = |slot: &Slot| is_coefficient(slot) && acts(model, slot);
+    let effects = model.slots().into_iter().filter(is_unknown);
     [MotorKey::Inertia, MotorKey::LoadTorque].map(Slot::Motor).into_iter().chain(effects).collect()
 }
 
@@ -344,9 +343,8 @@ fn inertia_gains(effect: &dyn Effect, values: &[f64], rows: &TorqueRows) -> Vec<
 
 /// The values with one coefficient at `size` and every other coefficient at zero.
 fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> Vec<f64> {
-    let specs = effect.parameters();
     let mut alone = values.to_vec();
-    for (value, spec) in alone.iter_mut().zip(specs) {
+    for (value, spec) in alone.iter_mut().zip(effect.parameters()) {
         if spec.is_coefficient() {
             *value = 0.0;
         }
@@ -357,10 +355,8 @@ fn alone(effect: &dyn Effect, values: &[f64], coefficient: usize, size: f64) -> 
 
 /// Whether a coefficient is dissipative, hence not negative.
 fn takes_power_only(model: &Model, slot: &Slot) -> bool {
-    match *slot {
-        Slot::Motor(key) => key == MotorKey::LoadTorque,
-        Slot::Effect { index, .. } => model.effects[index].effect.card().takes_power,
-    }
+    let is_load = matches!(slot, Slot::Motor(MotorKey::LoadTorque));
+    effect_of(model, slot).map_or(is_load, |effect| effect.card().takes_power)
 }
 
 /// The torque that the model predicts in each row.
@@ -395,9 +391,7 @@ fn event_times(spec: &ParameterSpec, rows: &TorqueRows) -> impl Iterator<Item = 
 pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
     let mut model = model.clone();
     for slot in model.slots().into_iter().filter(|slot| slot.has_role(ParameterRole::EventTime)) {
-        let Slot::Effect { spec, .. } = slot else {
-            continue;
-        };
+        let Slot::Effect { spec, .. } = slot else { continue };
         let given = model.get(&slot);
         let mut cost_at = |time_s: f64| -> f64 {
             model.set(&slot, time_s);
@@ -407,9 +401,7 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
         let tried = event_times(spec, rows).chain(given);
         let tried: Vec<(f64, f64)> = tried.map(|time_s| (cost_at(time_s), time_s)).collect();
         let best = tried.into_iter().min_by(|a, b| a.0.total_cmp(&b.0));
-        let Some((mut least, mut best_s)) = best else {
-            continue;
-        };
+        let Some((mut least, mut best_s)) = best else { continue };
         let mut step_s = span_s(rows) / SETTINGS.parts_of_span;
         for _ in 0..SETTINGS.halvings_of_a_time {
             for there_s in [best_s - step_s, best_s + step_s] {
@@ -483,20 +475,14 @@ fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
     plain.effects.retain(|active| !depends_on_drive(active.effect));
     let plain = fit(&plain, rows)?.model;
     for slot in plain.slots() {
-        let key = slot.key();
-        let value = plain.get(&slot);
-        let mut own = model.slots().into_iter();
-        if let Some((own, value)) = own.find(|own| own.key() == key).zip(value) {
+        let own = model.slots().into_iter().find(|own| own.key() == slot.key());
+        if let Some((own, value)) = own.zip(plain.get(&slot)) {
             model.set(&own, value);
         }
     }
-    let coefficients: Vec<Slot> = model.slots().into_iter().filter(is_coefficient).collect();
-    for slot in coefficients {
-        let Slot::Effect { index, .. } = slot else {
-            continue;
-        };
-        let is_open = depends_on_drive(model.effects[index].effect) && !is_fixed(model, &slot);
-        if is_open {
+    for slot in model.slots().into_iter().filter(is_coefficient) {
+        let is_of_drive = effect_of(model, &slot).is_some_and(depends_on_drive);
+        if is_of_drive && !is_fixed(model, &slot) {
             model.set(&slot, 0.0);
         }
     }
@@ -505,19 +491,17 @@ fn start_of_transmission(model: &mut Model, rows: &TorqueRows) -> Option<()> {
 
 /// Sum of squares of the model with its forms fixed.
 fn cost(model: &Model, rows: &TorqueRows) -> f64 {
-    System::new(model, rows).map_or(f64::INFINITY, |system| system.cost())
+    let squares = |system: System| Some(system.residual(&system.solve_bounded()?).norm_squared());
+    System::new(model, rows).and_then(squares).unwrap_or(f64::INFINITY)
 }
 
 /// Coordinate search with halving steps.
 fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
     for slot in forms {
         if let (Slot::Effect { spec, .. }, None) = (slot, model.get(slot)) {
-            let middle = spec.shapes.len() / 2;
-            let start = if spec.role == ParameterRole::EventTime {
-                event_times(spec, rows).nth(middle)
-            } else {
-                None
-            };
+            let is_time = spec.role == ParameterRole::EventTime;
+            let middle = || event_times(spec, rows).nth(spec.shapes.len() / 2);
+            let start = is_time.then(middle).flatten();
             model.set(slot, start.unwrap_or(spec.in_run(&rows.scales).guess));
         }
     }
@@ -525,9 +509,7 @@ fn search(model: &mut Model, forms: &[Slot], rows: &TorqueRows) {
     let mut step = 1.0;
     for _ in 0..SETTINGS.halvings {
         for slot in forms {
-            let Slot::Effect { spec, .. } = slot else {
-                continue;
-            };
+            let Slot::Effect { spec, .. } = slot else { continue };
             for direction in [1.0, -1.0] {
                 let range = spec.in_run(&rows.scales);
                 let here = model.get(slot).unwrap_or(range.guess);
@@ -565,24 +547,19 @@ fn finish(mut model: Model, rows: &TorqueRows) -> Option<BalanceFit> {
         x = system.solve_bounded()?;
     }
     system.put(&mut model, &x);
-    let residual = &system.right - &system.matrix * &x;
+    let residual = system.residual(&x);
     // Intervals of the coefficients that are not at their bound.
     let at_bound = |place: &usize| system.takes_power[*place] && x[*place] == 0.0;
     let inside: Vec<usize> = (0..x.len()).filter(|place| !at_bound(place)).collect();
-    let solution = least_squares::solve(
-        &system.matrix.select_columns(&inside),
-        &system.right,
-        &blocks(rows, residual.as_slice()),
-    )?;
+    let matrix = system.matrix.select_columns(&inside);
+    let blocks = blocks(rows, residual.as_slice());
+    let solution = least_squares::solve(&matrix, &system.right, &blocks)?;
     let next = statistics::autocorrelation(residual.as_slice(), 2);
     let is_white = next.get(1).is_none_or(|rho| *rho <= SETTINGS.not_white_correlation);
     let widened = if is_white { 1.0 } else { SETTINGS.widened };
     let estimate = |slot: &Slot| {
-        let key = slot.key();
-        let mut free = system.free.iter();
-        let Some(place) = free.position(|free| free.key() == key) else {
-            return not_in_the_balance(&model, slot);
-        };
+        let own = system.free.iter().position(|free| free.key() == slot.key());
+        let Some(place) = own else { return not_in_the_balance(&model, slot) };
         let Some(at) = inside.iter().position(|inside| *inside == place) else {
             let reason = "held at zero: its estimate is negative, and friction cannot drive";
             return searching(slot, Some(0.0), Reason::Impossible, reason);
@@ -639,11 +616,10 @@ fn correlation_time_s(time_s: &[f64], values: &[f64]) -> f64 {
     if n < SETTINGS.fewest_correlated_rows {
         return 0.0;
     }
-    let period_s = (time_s[time_s.len() - 1] - time_s[0]) / (n - 1) as f64;
     let chance = 2.0 / (n as f64).sqrt();
     let rho = statistics::autocorrelation(values, n / 4).into_iter();
     let sum: f64 = rho.take_while(|rho| *rho > chance).sum();
-    0.5 * period_s * (1.0 + 2.0 * sum)
+    0.5 * statistics::mean_step(time_s) * (1.0 + 2.0 * sum)
 }
 
 /// The linear system for given forms.
@@ -705,9 +681,8 @@ impl System {
         }
     }
 
-    fn cost(&self) -> f64 {
-        let left = |x: DVector<f64>| (&self.right - &self.matrix * x).norm_squared();
-        self.solve_bounded().map_or(f64::INFINITY, left)
+    fn residual(&self, x: &DVector<f64>) -> DVector<f64> {
+        &self.right - &self.matrix * x
     }
 
     fn put(&self, model: &mut Model, x: &DVector<f64>) {
@@ -738,21 +713,17 @@ mod tests {
             let sum = inertia_kg_m2 * rate + FRICTION_N_M + viscous * speed(middle_s);
             sum / (1.0 - ratio * sum.signum())
         };
-        let events = times.iter().map(|time_s| (*time_s, torque(*time_s)));
-        let speeds = times.iter().map(|time_s| speed(*time_s)).collect();
-        let events = events.collect();
-        let mut run =
-            Scenario::planned("geared", Input::Torque, Channel::Torque, events, times.clone());
-        run.current_a = vec![f64::NAN; times.len()];
-        run.speed_rad_s = speeds;
-        run
+        let events = times.iter().map(|time_s| (*time_s, torque(*time_s))).collect();
+        let speed_rad_s = times.iter().map(|time_s| speed(*time_s)).collect();
+        let current_a = vec![f64::NAN; times.len()];
+        let run = Scenario::planned("geared", Input::Torque, Channel::Torque, events, times);
+        Scenario { current_a, speed_rad_s, ..run }
     }
 
     fn fitted(run: &Scenario) -> BalanceFit {
         let plain = Model::baseline(Motor::new("geared"));
         let model = plain.with_effect("load_dependent_friction").unwrap();
-        let rows = weak_form::torque_rows(&model, run).unwrap();
-        fit(&model, &rows).unwrap()
+        fit(&model, &weak_form::torque_rows(&model, run).unwrap()).unwrap()
     }
 
     #[test]
@@ -760,16 +731,13 @@ mod tests {
         for ratio in [0.0, 0.1, 0.3] {
             let run = geared(1e-3, 0.0, ratio);
             let found = fitted(&run);
-            let value = |key: &str| {
-                let own = found.parameters.iter().find(|own| own.key == key);
-                own.and_then(|own| own.value).unwrap()
-            };
+            let value =
+                |key: &str| ParameterEstimate::find(&found.parameters, key).unwrap().value.unwrap();
             let off = value("load_dependent_friction.ratio") - ratio;
             assert!(off.abs() < 0.01, "{ratio}: {off}");
             let inertia = value("inertia_kg_m2");
             assert!((inertia / 1e-3 - 1.0).abs() < 0.02, "{inertia}");
-            let effect = effect::find("load_dependent_friction").unwrap();
-            assert_eq!(why_not(effect, &run), None);
+            assert_eq!(why_not(effect::find("load_dependent_friction").unwrap(), &run), None);
         }
     }
 
@@ -777,8 +745,7 @@ mod tests {
     fn one_direction_of_power_does_not_determine_load_dependent_friction() {
         // The inertia is too small to drive the shaft against its friction.
         let run = geared(1e-5, 4e-4, 0.0);
-        let effect = effect::find("load_dependent_friction").unwrap();
-        assert!(why_not(effect, &run).is_some());
+        assert!(why_not(effect::find("load_dependent_friction").unwrap(), &run).is_some());
         // Its column is not the measured torque: the viscous part stays unexplained.
         let found = fitted(&run);
         assert!(found.rms_n_m > 1e-3, "{}", found.rms_n_m);
