@@ -62,6 +62,24 @@ pub struct SignalTrace {
 }
 
 impl SignalTrace {
+    /// Of a measurement alone.
+    fn new(quantity: Quantity, time_s: impl Into<Arc<[f64]>>, measured: Vec<f64>) -> Self {
+        Self {
+            quantity,
+            time_s: time_s.into(),
+            measured,
+            model: Vec::new(),
+            noise: None,
+            std: Vec::new(),
+            is_held: false,
+        }
+    }
+
+    /// Whether it has a value anywhere.
+    fn is_known(&self) -> bool {
+        self.measured.iter().any(|value| value.is_finite())
+    }
+
     /// Measured less model: positive where the model is too low. NaN in gaps.
     pub fn residual(&self) -> impl Iterator<Item = f64> + '_ {
         self.measured.iter().zip(&self.model).map(|(measured, model)| measured - model)
@@ -161,10 +179,8 @@ impl RunTraces {
 
     /// First and last instant of all signals; zero and one where there is none.
     pub fn span_s(&self) -> (f64, f64) {
-        let ends = self.signals.iter().filter_map(|signal| {
-            let (first, last) = (signal.time_s.first()?, signal.time_s.last()?);
-            Some((*first, *last))
-        });
+        let ends = |signal: &SignalTrace| Some((*signal.time_s.first()?, *signal.time_s.last()?));
+        let ends = self.signals.iter().filter_map(ends);
         ends.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or((0.0, 1.0))
     }
 }
@@ -188,41 +204,26 @@ impl RecordedChannels {
     /// Adds a run of the comparison with its on-line estimates.
     pub fn add(&mut self, run: &Run, scenario: &Scenario) {
         let begin_s = scenario.begin_s();
-        let since = |time_s: &f64| time_s - begin_s;
-        let signal = |channel: &Channel| {
-            let values = run.column(*channel)?;
-            let points = run.time_s().iter().map(since).zip(values.iter().copied());
+        let signal = |channel: Channel| {
             // Rows of commands are between those of samples: an empty cell there is no gap.
-            let points: Vec<(f64, f64)> = points.filter(|point| point.1.is_finite()).collect();
-            let time_s: Vec<f64> = points.iter().map(|point| point.0).collect();
-            (!points.is_empty()).then(|| SignalTrace {
-                quantity: Quantity::Channel(*channel),
-                time_s: time_s.into(),
-                measured: points.iter().map(|point| point.1).collect(),
-                model: Vec::new(),
-                noise: None,
-                std: Vec::new(),
-                is_held: channel.is_commanded(),
-            })
+            let points = run.points(channel).map(|(time_s, value)| (time_s - begin_s, value));
+            let (time_s, measured): (Vec<f64>, Vec<f64>) = points.unzip();
+            let trace = SignalTrace::new(Quantity::Channel(channel), time_s, measured);
+            trace.is_known().then_some(SignalTrace { is_held: channel.is_commanded(), ..trace })
         };
-        let mut signals: Vec<SignalTrace> = Channel::ALL.iter().filter_map(signal).collect();
+        let mut signals: Vec<SignalTrace> = Channel::ALL.into_iter().filter_map(signal).collect();
         signals.extend(estimates(run, scenario));
         self.runs.push((run.name.clone(), signals));
     }
 
     /// The channels that a run has besides `known`.
-    fn other_channels(
-        &self,
-        run: &Scenario,
-        known: &[SignalTrace],
-    ) -> impl Iterator<Item = SignalTrace> {
+    fn other_channels(&self, run: &Scenario, known: &[SignalTrace]) -> Vec<SignalTrace> {
         let recorded = run.part_of.first().unwrap_or(&run.name);
         let own = self.runs.iter().find(|(name, _)| name == recorded);
         let signals = own.into_iter().flat_map(|(_, signals)| signals);
         let is_new =
             |signal: &&SignalTrace| known.iter().all(|own| own.quantity != signal.quantity);
-        let new: Vec<SignalTrace> = signals.filter(is_new).cloned().collect();
-        new.into_iter()
+        signals.filter(is_new).cloned().collect()
     }
 }
 
@@ -240,16 +241,12 @@ impl Traces {
             parts.push((Part::FitRun, &evidence.training));
         }
         parts.extend(evidence.confirm.iter().map(|run| (Part::Confirm, run)));
-        let sides = if evidence.training.input == Input::Voltage {
-            None
-        } else {
-            Some(Balance::new(model, evidence)?.0)
-        };
+        let by_voltage = evidence.training.input == Input::Voltage;
+        let balance = (!by_voltage).then(|| Balance::new(model, evidence)).transpose()?;
         let traced = |(part, run): (Part, &Scenario)| {
-            let since = |time_s: &f64| time_s - run.begin_s();
-            let mut signals = match &sides {
+            let mut signals = match &balance {
                 None => free_run(model, run, &evidence.noise)?,
-                Some(balance) => {
+                Some((balance, _)) => {
                     let rows = rows_of(&balance.sides, part);
                     let known = balance.source != FloorSource::None;
                     let unit_n_m = known.then_some(balance.unit_n_m);
@@ -259,15 +256,14 @@ impl Traces {
             if run.input == Input::Voltage {
                 signals.push(command(run));
             }
-            let others: Vec<SignalTrace> = recorded.other_channels(run, &signals).collect();
-            signals.extend(others);
-            let begins = run.sample_time_s.get(run.scored.start).map(since);
+            signals.extend(recorded.other_channels(run, &signals));
+            let begin_s = run.sample_time_s.get(run.scored.start).map(|t| t - run.begin_s());
             // A split run is shown whole.
             let whole = run.part_of.last().filter(|_| part == Part::Split);
             Ok(RunTraces {
                 run: whole.unwrap_or(&run.name).clone(),
                 part,
-                held_out_from_s: begins.filter(|_| part == Part::Split),
+                held_out_from_s: begin_s.filter(|_| part == Part::Split),
                 signals,
             })
         };
@@ -278,16 +274,10 @@ impl Traces {
 
 /// The command, since the run's begin.
 fn command(run: &Scenario) -> SignalTrace {
-    let since = |(time_s, _): &(f64, f64)| time_s - run.begin_s();
-    SignalTrace {
-        quantity: Quantity::Channel(run.input_channel),
-        time_s: run.events.iter().map(since).collect(),
-        measured: run.events.iter().map(|event| event.1).collect(),
-        model: Vec::new(),
-        noise: None,
-        std: Vec::new(),
-        is_held: true,
-    }
+    let events = run.events.iter().map(|(time_s, value)| (time_s - run.begin_s(), *value));
+    let (time_s, values): (Vec<f64>, Vec<f64>) = events.unzip();
+    let trace = SignalTrace::new(Quantity::Channel(run.input_channel), time_s, values);
+    SignalTrace { is_held: true, ..trace }
 }
 
 /// Speed and current of the free run with their measurement, without a signal that was never measured.
@@ -301,15 +291,10 @@ fn free_run(
     let time_s: Arc<[f64]> = run.sample_time_s.iter().map(|t| t - begin_s).collect();
     let is_known = noise.source != FloorSource::None;
     let signal = |channel, measured: &Vec<f64>, model, level: f64| {
-        measured.iter().any(|value| value.is_finite()).then(|| SignalTrace {
-            quantity: Quantity::Channel(channel),
-            time_s: Arc::clone(&time_s),
-            measured: measured.clone(),
-            model,
-            noise: (is_known && level.is_finite()).then_some(level),
-            std: Vec::new(),
-            is_held: false,
-        })
+        let noise = (is_known && level.is_finite()).then_some(level);
+        let time_s = Arc::clone(&time_s);
+        let trace = SignalTrace::new(Quantity::Channel(channel), time_s, measured.clone());
+        trace.is_known().then_some(SignalTrace { model, noise, ..trace })
     };
     let (speed, current) = (trajectory.speed_rad_s, trajectory.current_a);
     let signals = [
@@ -343,19 +328,13 @@ fn estimates(run: &Run, scenario: &Scenario) -> Vec<SignalTrace> {
     }
     let time_s: Arc<[f64]> = times.into();
     let of = |key: MotorKey| {
-        let own = || found.iter().map(move |all| ParameterEstimate::find(all, key.key()));
-        let value = |own: Option<&ParameterEstimate>| own.and_then(|own| own.value);
-        let std = |own: Option<&ParameterEstimate>| own.and_then(|own| own.std);
-        let measured: Vec<f64> = own().map(|own| value(own).unwrap_or(f64::NAN)).collect();
-        measured.iter().any(|value| value.is_finite()).then(|| SignalTrace {
-            quantity: Quantity::Estimate(key),
-            time_s: Arc::clone(&time_s),
-            measured,
-            model: Vec::new(),
-            noise: None,
-            std: own().map(|own| std(own).unwrap_or(f64::NAN)).collect(),
-            is_held: false,
-        })
+        let all = |figure: fn(&ParameterEstimate) -> Option<f64>| -> Vec<f64> {
+            let own = found.iter().map(|all| ParameterEstimate::find(all, key.key()));
+            own.map(|own| own.and_then(figure).unwrap_or(f64::NAN)).collect()
+        };
+        let (values, std) = (all(|own| own.value), all(|own| own.std));
+        let trace = SignalTrace::new(Quantity::Estimate(key), Arc::clone(&time_s), values);
+        trace.is_known().then_some(SignalTrace { std, ..trace })
     };
     MotorKey::ALL.into_iter().filter_map(of).collect()
 }
@@ -371,15 +350,10 @@ const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
 
 /// The torque of the motor and that of the inverse model.
 fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) -> SignalTrace {
-    SignalTrace {
-        quantity: Quantity::Channel(Channel::Torque),
-        time_s: rows.time_s.iter().map(|t| t - run.begin_s()).collect(),
-        measured: rows.left.clone(),
-        model: mechanical::predicted(&mechanical::with_events_of(model, rows), rows),
-        noise,
-        std: Vec::new(),
-        is_held: false,
-    }
+    let time_s: Vec<f64> = rows.time_s.iter().map(|t| t - run.begin_s()).collect();
+    let model = mechanical::predicted(&mechanical::with_events_of(model, rows), rows);
+    let trace = SignalTrace::new(Quantity::Channel(Channel::Torque), time_s, rows.left.clone());
+    SignalTrace { model, noise, ..trace }
 }
 
 #[cfg(test)]
@@ -430,20 +404,11 @@ mod tests {
 
     #[test]
     fn the_worst_place_has_the_largest_residual() {
-        let time_s: Arc<[f64]> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
+        let time_s: Vec<f64> = (0..1000).map(|k| 0.01 * f64::from(k)).collect();
         let bump = |at: f64, size: f64, t: f64| size * (-((t - at) / 0.05).powi(2)).exp();
-        let model: Vec<f64> =
-            time_s.iter().map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t)).collect();
-        let trace = SignalTrace {
-            quantity: Quantity::Channel(Channel::Speed),
-            measured: vec![0.0; 1000],
-            model,
-            time_s,
-            noise: None,
-            std: Vec::new(),
-            is_held: false,
-        };
-        let worst = trace.worst_places(100);
+        let model = time_s.iter().map(|t| bump(7.35, 3.0, *t) + bump(2.05, -5.0, *t)).collect();
+        let trace = SignalTrace::new(Quantity::Channel(Channel::Speed), time_s, vec![0.0; 1000]);
+        let worst = SignalTrace { model, ..trace }.worst_places(100);
         assert!((worst[0].at_s - 2.05).abs() < 0.02, "{:?}", worst[0]);
         let next = worst.iter().find(|place| (place.at_s - 2.05).abs() > 0.5).unwrap();
         assert!((next.at_s - 7.35).abs() < 0.06, "{next:?}");
@@ -476,22 +441,17 @@ mod tests {
         let mut recorded = RecordedChannels::default();
         recorded.add(&run, &fitted);
         let traces = Traces::of(&with_its_fan(), &evidence(), &recorded).unwrap();
-        let channels = |run: &RunTraces| -> Vec<Quantity> {
-            run.signals.iter().map(|signal| signal.quantity).collect()
-        };
+        let quantities = traces.runs[0].signals.iter().map(|signal| signal.quantity);
         let own = [Channel::Speed, Channel::Current, Channel::VoltageCmd].map(Quantity::Channel);
-        assert_eq!(channels(&traces.runs[0]), own);
+        assert_eq!(quantities.collect::<Vec<_>>(), own);
         let beside = &traces.runs[1].signals[3..];
         let bus = &beside[0];
         assert_eq!(bus.quantity, Quantity::Channel(Channel::Bus));
         // An empty cell of a row of commands is no gap.
         assert_eq!(bus.time_s.len(), fitted.samples() - 1);
-        let resistance = beside
-            .iter()
-            .find(|own| own.quantity == Quantity::Estimate(MotorKey::Resistance))
-            .unwrap();
-        let (value, std) = (resistance.measured.last(), resistance.std.last());
-        let (value, std) = (*value.unwrap(), *std.unwrap());
+        let quantity = Quantity::Estimate(MotorKey::Resistance);
+        let resistance = beside.iter().find(|own| own.quantity == quantity).unwrap();
+        let [value, std] = [&resistance.measured, &resistance.std].map(|own| *own.last().unwrap());
         assert!((value - 1.1).abs() < 5.0 * std && std < 0.1, "{value} {std}");
         assert!(resistance.measured[0].is_nan(), "nothing is known at the start");
     }
