@@ -16,7 +16,7 @@ use drivebench_identify::balance::{Derivation, Method, TorqueRows};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::{extent, finite};
+use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, Plant, Scenario, State};
 
 /// Figures of one signal.
@@ -265,11 +265,11 @@ fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitErro
     let scenario = &evidence.training;
     let start = output_error::predict(model, scenario, &evidence.noise)?.start;
     let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1);
-    let pairs =
-        [(&ahead.current_a, &scenario.current_a), (&ahead.speed_rad_s, &scenario.speed_rad_s)];
-    Ok(pairs.map(|(predicted, measured)| {
+    let rmse = |predicted: &[f64], measured: &[f64]| {
         scored(predicted, measured, scenario).map_or(f64::NAN, |signal| signal.rmse)
-    }))
+    };
+    let current = rmse(&ahead.current_a, &scenario.current_a);
+    Ok([current, rmse(&ahead.speed_rad_s, &scenario.speed_rad_s)])
 }
 
 fn scored(predicted: &[f64], measured: &[f64], scenario: &Scenario) -> Option<SignalScore> {
@@ -303,17 +303,11 @@ impl Balance {
         // A run without a location is still compared.
         let Located { locations, balances, map, notes } =
             locate(model, &evidence.holdout, &evidence.noise, error_of).unwrap_or_default();
-        let torques = self.sides.holdout.left.iter().copied();
+        let torques: [&[f64]; 2] = [&self.sides.training.left, &self.sides.holdout.left];
         let left = holdout.torque_residual.iter().map(|point| point.1);
-        let with_torque: Vec<(f64, f64)> = left.zip(torques).collect();
+        let with_torque: Vec<(f64, f64)> = left.zip(torques[1].iter().copied()).collect();
         let is_fitted = error_of == ErrorOf::Structure;
-        let not_fitted = is_fitted.then(|| {
-            trivial::as_good(
-                &holdout,
-                evidence,
-                Some([&self.sides.training.left, &self.sides.holdout.left]),
-            )
-        });
+        let not_fitted = is_fitted.then(|| trivial::as_good(&holdout, evidence, Some(torques)));
         let compared = Comparison {
             signals: Signals {
                 speed_windows_s: speed_rad_s.map(|_| SPEED_WINDOW_S),
@@ -373,8 +367,7 @@ fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<Proces
 fn speed(model: &Model, evidence: &Evidence) -> Option<SignalComparison> {
     let [training, one_step] = in_windows(model, &evidence.training)?;
     let [holdout, _] = in_windows(model, &evidence.holdout)?;
-    let (least, most) = extent(finite(&evidence.holdout.speed_rad_s));
-    if holdout.rmse > least.abs().max(most.abs()) {
+    if holdout.rmse > largest(&evidence.holdout.speed_rad_s) {
         return None;
     }
     Some(SignalComparison {
@@ -389,15 +382,13 @@ fn speed(model: &Model, evidence: &Evidence) -> Option<SignalComparison> {
 /// The same for one run, and one step ahead.
 fn in_windows(model: &Model, scenario: &Scenario) -> Option<[SignalScore; 2]> {
     let mut plant = Plant::new(model, scenario.input).ok()?;
-    let times = &scenario.sample_time_s;
-    let period_s = (times.last()? - times.first()?) / (times.len() - 1).max(1) as f64;
     let mut speeds = scenario.speed_rad_s.iter().copied();
     let start = State::at(0.0, speeds.find(|speed| speed.is_finite())?);
     let mut figures = |horizon: usize| {
         let ahead = plant.predict_ahead(scenario, start, horizon);
         scored(&ahead.speed_rad_s, &scenario.speed_rad_s, scenario)
     };
-    let found = figures(whole((SPEED_WINDOW_S / period_s).round()).max(1))?;
+    let found = figures(whole((SPEED_WINDOW_S / scenario.mean_period_s()).round()).max(1))?;
     let one_step = figures(1)?;
     found.rmse.is_finite().then_some([found, one_step])
 }

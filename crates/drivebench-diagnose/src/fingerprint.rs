@@ -78,27 +78,23 @@ pub fn fingerprint(start: &Model, scenario: &Scenario) -> Option<Fingerprint> {
 pub fn matches(first: Fingerprint, second: Fingerprint) -> MotorMatch {
     let difference =
         |a: Value, b: Value| ((b.value - a.value) / a.value, b.std.hypot(a.std) / a.value);
-    let (back_emf, back_emf_std) =
+    let (back_emf_difference, back_emf_std) =
         difference(first.back_emf_v_s_per_rad, second.back_emf_v_s_per_rad);
-    let (resistance, resistance_std) = difference(first.resistance_ohm, second.resistance_ohm);
-    let clear = back_emf.abs() > CLEAR_SIGMAS * back_emf_std;
-    let ratio = 1.0 + resistance;
-    let not_warmth = !(1.0 / OTHER_RESISTANCE_RATIO..=OTHER_RESISTANCE_RATIO).contains(&ratio)
-        && resistance.abs() > CLEAR_SIGMAS * resistance_std;
-    let kinship = if (clear && back_emf.abs() > OTHER_BACK_EMF_SHARE) || not_warmth {
+    let (resistance_difference, resistance_std) =
+        difference(first.resistance_ohm, second.resistance_ohm);
+    let is_clear = back_emf_difference.abs() > CLEAR_SIGMAS * back_emf_std;
+    let is_beyond = |share: f64| is_clear && back_emf_difference.abs() > share;
+    let warmth = 1.0 / OTHER_RESISTANCE_RATIO..=OTHER_RESISTANCE_RATIO;
+    let is_not_warmth = !warmth.contains(&(1.0 + resistance_difference))
+        && resistance_difference.abs() > CLEAR_SIGMAS * resistance_std;
+    let kinship = if is_beyond(OTHER_BACK_EMF_SHARE) || is_not_warmth {
         Kinship::Other
-    } else if clear && back_emf.abs() > DOUBTFUL_BACK_EMF_SHARE {
+    } else if is_beyond(DOUBTFUL_BACK_EMF_SHARE) {
         Kinship::Doubtful
     } else {
         Kinship::Same
     };
-    MotorMatch {
-        first,
-        second,
-        kinship,
-        back_emf_difference: back_emf,
-        resistance_difference: resistance,
-    }
+    MotorMatch { first, second, kinship, back_emf_difference, resistance_difference }
 }
 
 #[cfg(test)]

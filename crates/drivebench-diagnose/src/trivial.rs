@@ -40,23 +40,19 @@ pub(super) fn as_good(
     torques: Option<[&[f64]; 2]>,
 ) -> Option<TrivialPrediction> {
     if let Some([fitted, held_out]) = torques {
-        let own = score.torque?.rmse;
-        return constant("torque", "N.m", own, fitted, held_out, 0.0);
+        return constant("torque", "N.m", score.torque?.rmse, fitted, held_out, 0.0);
     }
     let (fitted, held_out) = (&evidence.training, &evidence.holdout);
     let of = |name, unit, own: Option<f64>, pick: fn(&Scenario) -> &Vec<f64>, level: f64| {
         let part = |run: &Scenario| pick(run)[run.scored.clone()].to_vec();
-        let level = if level.is_finite() { level } else { 0.0 };
+        let is_known = evidence.noise.samples > 0 && level.is_finite();
+        let level = if is_known { level } else { 0.0 };
         constant(name, unit, own?, &part(fitted), &part(held_out), level)
-    };
-    let level = |level: f64| {
-        if evidence.noise.samples > 0 { level } else { 0.0 }
     };
     let speed = score.speed.map(|own| own.rmse);
     let current = score.current.map(|own| own.rmse);
-    let [noise_a, noise_rad_s] = [evidence.noise.current_a, evidence.noise.speed_rad_s].map(level);
-    of("speed", "rad/s", speed, |run| &run.speed_rad_s, noise_rad_s)
-        .or_else(|| of("current", "A", current, |run| &run.current_a, noise_a))
+    of("speed", "rad/s", speed, |run| &run.speed_rad_s, evidence.noise.speed_rad_s)
+        .or_else(|| of("current", "A", current, |run| &run.current_a, evidence.noise.current_a))
         .or_else(|| lag(speed?, fitted, held_out))
 }
 
@@ -74,7 +70,10 @@ fn constant(
     if held_out.len() < FEWEST || variance(&held_out).sqrt() < MOVES_RATIO * noise {
         return None;
     }
-    let error = |value: f64| mean_square(held_out.iter().map(|held_out| held_out - value)).sqrt();
+    let error = |value: f64| {
+        let squares = held_out.iter().map(|own| (own - value) * (own - value));
+        mean(&squares.collect::<Vec<f64>>()).sqrt()
+    };
     let is_as_good = |error: f64| own.is_nan() || own >= CONSTANT_RATIO * error;
     let [mean, last] = [mean(&held_out), *fitted.last()?].map(error);
     if is_as_good(mean) {
@@ -93,12 +92,6 @@ fn lag(own: f64, fitted: &Scenario, held_out: &Scenario) -> Option<TrivialPredic
         gain_rad_s_per_v: lag.gain_rad_s_per_v,
         time_constant_s: lag.time_constant_s,
     })
-}
-
-fn mean_square(values: impl Iterator<Item = f64>) -> f64 {
-    let (sum, count) =
-        values.fold((0.0, 0.0), |(sum, count), value| (sum + value * value, count + 1.0));
-    sum / f64::max(count, 1.0)
 }
 
 #[cfg(test)]
@@ -128,8 +121,7 @@ mod tests {
         let load = light.motor.get(MotorKey::LoadTorque).unwrap();
         light.motor.set(MotorKey::LoadTorque, 6.0 * load);
         let of = found(&light).unwrap();
-        let is_last = matches!(of, TrivialPrediction::LastValue { .. });
-        assert!(!is_last, "{of:?}");
+        assert!(!matches!(of, TrivialPrediction::LastValue { .. }), "{of:?}");
     }
 
     #[test]

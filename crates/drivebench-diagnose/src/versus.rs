@@ -85,19 +85,18 @@ pub fn versus(models: [&Model; 2], evidence: &Evidence) -> Result<Versus, FitErr
         let scores = [score(models[0]), score(models[1])];
         (scores, [f64::NAN, f64::NAN, balance.unit_n_m], balance.source)
     };
-    let by_blocks = ByBlocks::of([&scores[0], &scores[1]], levels);
-    let better = by_blocks.better;
-    let holdout_rmse = [scores[0].nrms, scores[1].nrms];
+    let ByBlocks { better, difference, difference_std, blocks, limit } =
+        ByBlocks::of([&scores[0], &scores[1]], levels);
     Ok(Versus {
         better,
         signals: signals(&scores),
-        holdout_rmse,
+        holdout_rmse: scores.each_ref().map(|score| score.nrms),
         noise_floor_from: source,
-        difference: by_blocks.difference,
-        difference_std: by_blocks.difference_std,
-        blocks: by_blocks.blocks,
-        limit: by_blocks.limit,
-        finding: match (by_blocks.difference, better) {
+        difference,
+        difference_std,
+        blocks,
+        limit,
+        finding: match (difference, better) {
             (None, _) => VersusFinding::TooShort,
             (_, Better::First) => VersusFinding::FirstBetter,
             (_, Better::Second) => VersusFinding::SecondBetter,
@@ -127,17 +126,12 @@ impl ByBlocks {
         let difference_std = counted.then(|| (variance(&blocks) / blocks.len() as f64).sqrt());
         // Averaged over signals and blocks in two ways: where these do not agree neither model is called the better.
         let agrees = |difference: f64| difference * (scores[0].nrms - scores[1].nrms) > 0.0;
-        let better = match (difference, difference_std) {
-            (Some(difference), Some(std))
-                if difference.abs() > limit * std && agrees(difference) =>
-            {
-                if difference > 0.0 {
-                    Better::Second
-                } else {
-                    Better::First
-                }
-            }
-            _ => Better::NotToldApart,
+        let is_significant =
+            |(difference, std): &(f64, f64)| difference.abs() > limit * std && agrees(*difference);
+        let better = match difference.zip(difference_std).filter(is_significant) {
+            Some((difference, _)) if difference > 0.0 => Better::Second,
+            Some(_) => Better::First,
+            None => Better::NotToldApart,
         };
         Self { better, difference, difference_std, blocks: blocks.len(), limit }
     }
@@ -181,13 +175,9 @@ fn signals(scores: &[Score; 2]) -> Vec<SignalVersus> {
         ("torque_n_m", "N.m", first.torque, second.torque),
     ];
     let both = pairs.into_iter().filter_map(|(signal, unit, first, second)| {
-        let (first, second) = (first?, second?);
-        Some(SignalVersus {
-            signal,
-            unit,
-            rmse: [first.rmse, second.rmse],
-            fit_percent: [first.fit_percent, second.fit_percent],
-        })
+        let both = [first?, second?];
+        let (rmse, fit_percent) = (both.map(|own| own.rmse), both.map(|own| own.fit_percent));
+        Some(SignalVersus { signal, unit, rmse, fit_percent })
     });
     both.collect()
 }
