@@ -79,9 +79,8 @@ impl EffectCurve {
 
 impl From<&AxisMap> for EffectCurve {
     fn from(map: &AxisMap) -> Self {
-        let points = map.knots.iter().zip(&map.values).zip(&map.std);
-        let point =
-            |((&at, &mean), &std): ((&f64, &f64), &f64)| CurvePoint { at, mean, std, count: 0 };
+        let knots = map.knots.iter().zip(&map.values).zip(&map.std);
+        let points = knots.map(|((&at, &mean), &std)| CurvePoint { at, mean, std, count: 0 });
         Self {
             effect: None,
             equation: map.equation,
@@ -90,7 +89,7 @@ impl From<&AxisMap> for EffectCurve {
             axis_unit: Axis::from_key(map.axis).map_or("", Axis::unit),
             periods_per_turn: 1.0,
             why_axis: Some(AxisReason::Map(Box::new(map.clone()))),
-            points: points.map(point).collect(),
+            points: points.collect(),
             line: Vec::new(),
             with_it: Vec::new(),
             noise: None,
@@ -123,8 +122,7 @@ pub fn effect_curve(
             without_it.take_out(*equation, &changes);
         }
     }
-    let pairs = Pairs { without_it: &without_it, with_it: Some(&with_it) };
-    Ok(pairs.curve(Some(active)))
+    Ok(Pairs { without_it: &without_it, with_it: Some(&with_it) }.curve(Some(active)))
 }
 
 /// Error of a complete `model` on `run`, along the axis with the largest share. `None` where the run does not determine it.
@@ -140,21 +138,13 @@ pub fn error_curve(
     for equation in super::equations(run.input) {
         windows.fit_own(*equation);
     }
-    let pairs = Pairs { without_it: &windows, with_it: None };
-    Ok(pairs.curve(None))
+    Ok(Pairs { without_it: &windows, with_it: None }.curve(None))
 }
 
 /// The windows of a run under the model without an effect and with it.
 struct Pairs<'a> {
     without_it: &'a Windows<'a>,
     with_it: Option<&'a Windows<'a>>,
-}
-
-/// A variable with its columns, and what is drawn over it.
-struct Along {
-    variable: Variable,
-    basis: Basis,
-    fit: Fit,
 }
 
 impl<'a> Pairs<'a> {
@@ -180,23 +170,23 @@ impl<'a> Pairs<'a> {
         let along = |errors: &Regression<'_>, variable| {
             let basis = errors.basis(variable, periods_per_turn)?;
             let fit = errors.fit(&basis.rows)?;
-            Some(Along { variable, basis, fit })
+            Some((variable, basis, fit))
         };
-        let own = active.and_then(|active| own_curve(active.effect));
-        let own = own.filter(|(equation, _)| equations.contains(equation));
-        let own = own.and_then(|(equation, axis)| {
-            Some((equation, along(&self.drawn(equation), Variable::Axis(axis))?))
+        let own = active.and_then(|active| {
+            let (equation, axis) = own_curve(active.effect)?;
+            let drawn = equations.contains(&equation).then(|| self.drawn(equation))?;
+            Some((equation, along(&drawn, Variable::Axis(axis))?))
         });
         let is_own = own.is_some();
-        let (equation, Along { variable, basis, fit }) = own.or_else(|| {
+        let (equation, (variable, basis, fit)) = own.or_else(|| {
             let equation = self.equation(equations)?;
             let drawn = self.drawn(equation);
-            let tried = Variable::of(equation, input, active.is_some()).into_iter();
-            let weight = |along: &Along| {
-                let is_time = along.variable == Variable::Axis(Axis::Time);
-                along.fit.r2 * if is_time { WEIGHT_OF_TIME } else { 1.0 }
+            let weight = |(variable, _, fit): &(Variable, Basis, Fit)| {
+                let is_time = *variable == Variable::Axis(Axis::Time);
+                fit.r2 * if is_time { WEIGHT_OF_TIME } else { 1.0 }
             };
-            let tried = tried.filter_map(|variable| along(&drawn, variable));
+            let variables = Variable::of(equation, input, active.is_some()).into_iter();
+            let tried = variables.filter_map(|variable| along(&drawn, variable));
             Some((equation, tried.max_by(|a, b| weight(a).total_cmp(&weight(b)))?))
         })?;
         let points = |errors: &Regression<'_>| Some(points(&basis, &errors.fit(&basis.rows)?));
@@ -241,8 +231,7 @@ fn points(basis: &Basis, fit: &Fit) -> Vec<CurvePoint> {
     let mut counts = vec![0; basis.knots.len()];
     for place in basis.places.iter().filter(|place| place.is_finite()) {
         let apart = |knot: &usize| (basis.knots[*knot] - place).abs();
-        let nearest = (0..counts.len()).min_by(|a, b| apart(a).total_cmp(&apart(b)));
-        if let Some(knot) = nearest {
+        if let Some(knot) = (0..counts.len()).min_by(|a, b| apart(a).total_cmp(&apart(b))) {
             counts[knot] += 1;
         }
     }
@@ -295,7 +284,7 @@ mod tests {
     use std::f64::consts::TAU;
 
     use super::*;
-    use crate::kit::{nameplate, truth as with};
+    use crate::kit::{held, nameplate, truth as with};
     use drivebench_model::plant::testing::{self, with_a_fan};
 
     const FAN: f64 = 4e-6;
@@ -315,8 +304,7 @@ mod tests {
         let largest = law(250.0);
         assert!(curve.points.len() > 12 && curve.line.len() == curve.points.len());
         for (speed, torque) in &curve.line {
-            let apart = (torque - law(*speed)).abs();
-            assert!(apart < 0.03 * largest, "{torque} at {speed}");
+            assert!((torque - law(*speed)).abs() < 0.03 * largest, "{torque} at {speed}");
         }
         // Measured, through another way: within four of their own standard deviations and what the bins are wide.
         for point in &curve.points {
@@ -335,19 +323,15 @@ mod tests {
         let run = with_a_fan(0);
         // As much loss at 150 rad/s, linear.
         let curve = drawn(&with("viscous_friction", &[150.0 * FAN]), "viscous_friction", &run);
-        let off = |point: &CurvePoint| point.mean.abs() > 5.0 * point.std;
-        let missed = curve.with_it.iter().filter(|point| off(point)).count();
+        let is_off = |point: &&CurvePoint| point.mean.abs() > 5.0 * point.std;
+        let missed = curve.with_it.iter().filter(is_off).count();
         assert!(missed >= 3, "{missed}: {:?}", curve.with_it);
     }
 
     #[test]
     fn a_late_command_is_a_line_over_the_rate_of_the_voltage() {
         let truth = with("command_delay", &[0.004]);
-        let steps = (0..40).map(|k| {
-            let level = [40.0, 55.0, 20.0, 60.0, 35.0][k % 5];
-            (0.3 + 0.11 * k as f64, level)
-        });
-        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        let events = held(&[40.0, 55.0, 20.0, 60.0, 35.0].repeat(8), 0.11);
         let run = testing::record(&truth, events, 0.001, 5.0, 3);
         let curve = drawn(&truth, "command_delay", &run);
         assert_eq!((curve.equation, curve.axis), ("voltage", "voltage_rate_v_s"));
@@ -365,7 +349,7 @@ mod tests {
         let curve = drawn(&truth, "cogging", &run);
         assert_eq!(curve.axis, "angle_rad", "{curve:?}");
         assert!((curve.periods_per_turn - 6.0).abs() < 1e-12, "{curve:?}");
-        assert!(curve.points.iter().map(|point| point.at).fold(0.0, f64::max) < TAU / 6.0);
+        assert!(curve.points.iter().all(|point| point.at < TAU / 6.0));
         let highest = curve.line.iter().map(|at| at.1).fold(0.0, f64::max);
         assert!(highest > 0.02 && highest < 0.055, "{highest}");
     }

@@ -167,8 +167,7 @@ impl Regression<'_> {
         let basis = self.basis(Variable::Axis(axis), 1.0)?;
         let fit = self.reported(&basis.rows)?;
         let region = self.region(&basis.places, &fit)?;
-        let form = Self::range(&region, 0.0);
-        Some(self.ranked(axis.key(), region, &fit, 1.0, form))
+        Some(self.ranked(axis.key(), region, &fit, 1.0, Self::range(&region, 0.0)))
     }
 
     /// Each of the equation's own parameters alone. Where short windows contradict a value that was fitted to the whole run
@@ -226,9 +225,8 @@ impl Regression<'_> {
             };
             let rows: Vec<Vec<f64>> = all.iter().zip(&self.each).map(wave).collect();
             // A wave with a contribution in few windows only, as of a high order, would overfit them.
-            let size = rows.iter().map(|wave| wave[0] * wave[0] + wave[1] * wave[1]);
-            let (sum, squares) =
-                size.fold((0.0, 0.0), |(sum, squares), size| (sum + size, squares + size * size));
+            let size = || rows.iter().map(|wave| wave[0] * wave[0] + wave[1] * wave[1]);
+            let (sum, squares): (f64, f64) = (size().sum(), size().map(|size| size * size).sum());
             let is_supported = sum * sum / squares > SETTINGS.fewest_windows_of_wave;
             Some((order, is_supported.then(|| self.fit(&rows))??))
         };

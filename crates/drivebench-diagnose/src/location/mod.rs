@@ -215,11 +215,8 @@ pub fn locate(
         }
         let mut balance = windows.balance(equation, noise);
         refit(&mut windows, equation, &mut balance, noise, model, error_of);
-        let axes = if balance.fails {
-            failures::ranked(&windows, equation, balance.refitted, model, error_of)
-        } else {
-            Vec::new()
-        };
+        let ranked = || failures::ranked(&windows, equation, balance.refitted, model, error_of);
+        let axes = if balance.fails { ranked() } else { Vec::new() };
         // Without a known noise, an error that depends on no variable may be noise.
         balance.fails &= balance.nres.is_some() || !axes.is_empty();
         balance.state = match (balance.fails, balance.nres.is_some(), axes.is_empty()) {
@@ -282,9 +279,7 @@ fn refit(
     model: &Model,
     error_of: ErrorOf,
 ) {
-    let Some(changes) = windows.fit_own(equation) else {
-        return;
-    };
+    let Some(changes) = windows.fit_own(equation) else { return };
     let changed = own_keys(equation).iter().zip(&changes).map(|(key, by)| OwnChange {
         key: key.key(),
         by: *by,
@@ -294,11 +289,9 @@ fn refit(
     let after = windows.balance(equation, noise);
     balance.nres_refitted = after.nres;
     let is_small = |change: &OwnChange| change.share.abs() < MATERIAL_SHARE;
-    let is_another = |change: &OwnChange| {
-        let is_sure =
-            ![MotorKey::LoadTorque, MotorKey::Inductance].map(MotorKey::key).contains(&change.key);
-        is_sure && change.share.abs() > ANOTHER_SHARE
-    };
+    let unsure = [MotorKey::LoadTorque, MotorKey::Inductance].map(MotorKey::key);
+    let is_another =
+        |change: &OwnChange| change.share.abs() > ANOTHER_SHARE && !unsure.contains(&change.key);
     balance.refitted = match error_of {
         ErrorOf::Structure => !balance.own_changes.iter().any(is_another),
         ErrorOf::Model => balance.own_changes.iter().all(is_small),
@@ -320,10 +313,8 @@ const fn nres(balance: &EquationBalance) -> Option<f64> {
 /// Criterion by which two failing balances are ordered. An error that depends on a variable counts more than a larger one that
 /// depends on none.
 fn badness(balance: &EquationBalance, locations: &[FailureLocation]) -> f64 {
-    let follows = locations
-        .iter()
-        .find(|location| location.equation == balance.equation)
-        .map_or(0.0, |location| location.follows);
+    let own = locations.iter().find(|location| location.equation == balance.equation);
+    let follows = own.map_or(0.0, |location| location.follows);
     nres(balance).unwrap_or(balance.relative) * (0.3 + 0.7 * follows).sqrt()
 }
 
@@ -366,11 +357,8 @@ pub(super) fn undecided(
 
 /// The equation with the larger error first: in units of the noise, else relative to its drive.
 fn rank(found: &mut Located) {
-    let locations = &found.locations;
-    found.balances.sort_by(|a, b| {
-        let sizes = badness(b, locations).total_cmp(&badness(a, locations));
-        b.fails.cmp(&a.fails).then(sizes)
-    });
+    let size = |balance: &EquationBalance| badness(balance, &found.locations);
+    found.balances.sort_by(|a, b| b.fails.cmp(&a.fails).then(size(b).total_cmp(&size(a))));
     let order: Vec<&str> = found.balances.iter().map(|b| b.equation).collect();
     let place =
         |location: &FailureLocation| order.iter().position(|name| *name == location.equation);
@@ -478,12 +466,11 @@ impl ErrorMap {
             Some(MapCell { digit, off })
         };
         let middles = self.speed_edges_rad_s.windows(2).map(|edges| 0.5 * (edges[0] + edges[1]));
-        let rows = middles.zip(cells.iter().zip(means));
-        let mut rows: Vec<_> = rows
-            .map(|(middle, (row, means))| (middle, row.iter().zip(means).map(cell).collect()))
-            .collect();
-        rows.reverse();
-        MapDigits { largest, rows }
+        let rows = middles.zip(cells.iter().zip(means)).rev();
+        let row = |(middle, (row, means)): (f64, (&Vec<_>, &Vec<_>))| {
+            (middle, row.iter().zip(means).map(cell).collect())
+        };
+        MapDigits { largest, rows: rows.map(row).collect() }
     }
 
     /// `None` where speed or current did not vary, or was not measured.

@@ -11,7 +11,9 @@ use super::{ErrorOf, FEWEST_WINDOWS, refit};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::plant::effect::{CATALOGUE, ParameterRole};
-use drivebench_model::plant::{Balance, Effect, Instant, Model, Scenario, ShaftAngle, Terms};
+use drivebench_model::plant::{
+    Balance, Effect, Instant, Model, ParameterSpec, Scenario, ShaftAngle, Terms,
+};
 
 /// Largest order of the angle.
 const ORDERS: usize = 12;
@@ -58,12 +60,8 @@ pub fn provisional_ranking(
         for effect in CATALOGUE {
             let share = share(&errors, *effect, model, angle.as_deref());
             if let Some(share) = share.filter(|share| *share >= NAMED_SHARE) {
-                let ranked = RankedEffect {
-                    effect: effect.card().id,
-                    equation: equation.key(),
-                    share,
-                    windows: count,
-                };
+                let (effect, equation) = (effect.card().id, equation.key());
+                let ranked = RankedEffect { effect, equation, share, windows: count };
                 found.push((badness * share.sqrt(), ranked));
             }
         }
@@ -91,18 +89,19 @@ fn share(
         (true, Some(_)) => ORDERS,
         (false, _) => 1,
     };
-    let coefficients = specs.iter().enumerate().filter(|(_, spec)| spec.is_coefficient());
-    let coefficients: Vec<usize> = coefficients.map(|(index, _)| index).collect();
+    let coefficients = || (0..specs.len()).filter(|unit| specs[*unit].is_coefficient());
     let best = (1..=orders).filter_map(|order| {
-        let columns = coefficients.iter().map(|unit| {
-            let value = |(index, spec): (usize, &drivebench_model::plant::ParameterSpec)| {
-                if spec.is_coefficient() {
-                    return if index == *unit { spec.scale } else { 0.0 };
+        let columns = coefficients().map(|unit| {
+            let value = |(index, spec): (usize, &ParameterSpec)| match spec.role {
+                _ if spec.is_coefficient() => {
+                    if index == unit {
+                        spec.scale
+                    } else {
+                        0.0
+                    }
                 }
-                if spec.role == ParameterRole::Choice {
-                    return order as f64;
-                }
-                spec.in_run(&errors.windows.scenario.scales).guess
+                ParameterRole::Choice => order as f64,
+                _ => spec.in_run(&errors.windows.scenario.scales).guess,
             };
             let values: Vec<f64> = specs.iter().enumerate().map(value).collect();
             column(errors, effect.terms(&values).as_ref(), model, angle)
@@ -155,7 +154,7 @@ fn column(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kit::{nameplate, truth};
+    use crate::kit::{held, nameplate, truth};
     use drivebench_model::plant::testing::{self, with_a_fan};
 
     fn ranking(run: &Scenario) -> Vec<RankedEffect> {
@@ -181,11 +180,7 @@ mod tests {
     #[test]
     fn a_brush_drop_is_ranked_in_the_voltage_equation() {
         let truth = truth("voltage_drop", &[1.5]);
-        let steps = (0..30).map(|k| {
-            let level = [30.0, -30.0, 60.0, -15.0, 20.0, -70.0][k % 6];
-            (0.5 + 0.2 * k as f64, level)
-        });
-        let events = std::iter::once((0.0, 0.0)).chain(steps).collect();
+        let events = held(&[30.0, -30.0, 60.0, -15.0, 20.0, -70.0].repeat(5), 0.2);
         let found = ranking(&testing::record(&truth, events, 0.002, 6.5, 4));
         assert_eq!(found[0].equation, "voltage", "{found:?}");
         let drop = found.iter().find(|own| own.effect == "voltage_drop");

@@ -18,6 +18,7 @@ use nalgebra::{Complex, DMatrix, DVector};
 use super::windows::{Window, Windows, own_keys};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares;
+use drivebench_model::numerics::statistics::finite;
 use drivebench_model::plant::effect::{Axis, table_weights};
 use drivebench_model::plant::{Balance, Input};
 
@@ -243,8 +244,7 @@ impl<'a> Regression<'a> {
     ) -> Vec<Vec<f64>> {
         self.rows(columns, |window, row| {
             let weights = self.windows.weights_of(window).mean;
-            let own = &values[self.windows.samples_of(window)];
-            for (weight, value) in weights.iter().zip(own) {
+            for (weight, value) in weights.iter().zip(&values[self.windows.samples_of(window)]) {
                 put(*value, *weight, row);
             }
         })
@@ -268,8 +268,7 @@ impl<'a> Regression<'a> {
         if power <= 0.0 {
             return None;
         }
-        let noise =
-            used.iter().map(|row| self.each[*row].0.floor(self.equation).powi(2)).sum::<f64>();
+        let noise: f64 = (0..n).map(|row| window(row).floor(self.equation).powi(2)).sum();
         let (spare, k) = ((n - own) as f64, added as f64);
         let by_chance = if noise > 0.0 { noise / n as f64 } else { unexplained / (spare - k) };
         let by_chance = by_chance.max(ROUNDING * power / spare);
@@ -302,19 +301,16 @@ impl<'a> Regression<'a> {
         let at_samples = |value: &dyn Fn(f64) -> f64| {
             scenario.sample_time_s.iter().map(|time_s| value(*time_s)).collect()
         };
+        let of_windows = |value| Some(Values::OfWindows(value));
         Some(Values::OfSamples(match variable {
             Variable::Axis(Axis::Speed) => scenario.speed_rad_s.clone(),
             Variable::Axis(Axis::Current) => scenario.current_a.clone(),
             Variable::Axis(Axis::Angle) => self.windows.angle_at_samples()?,
             Variable::Axis(Axis::Time) => at_samples(&|time_s| time_s - scenario.begin_s()),
             Variable::Axis(Axis::Voltage) => at_samples(&|time_s| scenario.input_at(time_s)),
-            Variable::CurrentRate => {
-                return Some(Values::OfWindows(|window| window.own(Balance::Voltage)[1]));
-            }
-            Variable::Acceleration => {
-                return Some(Values::OfWindows(|window| window.own(Balance::Torque)[0]));
-            }
-            Variable::VoltageRate => return Some(Values::OfWindows(|window| window.input_rate)),
+            Variable::CurrentRate => return of_windows(|window| window.own(Balance::Voltage)[1]),
+            Variable::Acceleration => return of_windows(|window| window.own(Balance::Torque)[0]),
+            Variable::VoltageRate => return of_windows(|window| window.input_rate),
         }))
     }
 
@@ -436,7 +432,7 @@ const FEWEST_KNOTS: usize = 3;
 
 /// Knots of a curve, from zero outwards where a variable has both signs: as close as the windows determine.
 fn knots(places: &[f64], near_zero: bool) -> Option<Vec<f64>> {
-    let mut sorted: Vec<f64> = places.iter().copied().filter(|place| place.is_finite()).collect();
+    let mut sorted = finite(places);
     sorted.sort_by(f64::total_cmp);
     let (first, last) = (*sorted.first()?, *sorted.last()?);
     let has_both = near_zero && first < 0.0 && last > 0.0;
@@ -528,8 +524,8 @@ impl Regression<'_> {
             .map(|step| f64::from(step) / f64::from(SETTINGS.refinement))
             .map(|step| (peak as f64 + step) * resolution_hz)
             .max_by(|a, b| power_at(*a).total_cmp(&power_at(*b)))?;
-        let wave = |time_s: f64, row: &mut [f64]| waves(TAU * frequency_hz * time_s, 1.0, row);
-        let mut fit = self.fit(&self.rows(2, |window, row| wave(window.time_s, row)))?;
+        let wave = |at: &Window, row: &mut [f64]| waves(TAU * frequency_hz * at.time_s, 1.0, row);
+        let mut fit = self.fit(&self.rows(2, wave))?;
         // The best of many frequencies explains part of any noise: degrees of freedom for that choice.
         let chance = 2.0 * ((size / 2 - lowest) as f64).ln().max(0.0);
         fit.r2 = 1.0 - (1.0 - fit.r2) * fit.spare / (fit.spare - chance);

@@ -34,8 +34,7 @@ fn located(truth: &Model, period_s: f64, error_of: ErrorOf) -> Located {
 /// Where the error lies first: in this equation, along this variable.
 fn first<'a>(found: &'a Located, place: (&str, &str), case: &str) -> &'a FailureLocation {
     let first = &found.locations[0];
-    let there = (first.equation, first.variable);
-    assert_eq!(there, place, "{case}: {found:#?}");
+    assert_eq!((first.equation, first.variable), place, "{case}: {found:#?}");
     first
 }
 
@@ -46,8 +45,7 @@ fn a_right_model_has_balances_at_the_noise_and_no_location() {
         assert_eq!(found.locations, vec![], "{period_s} s");
         assert_eq!(found.balances.len(), 2);
         for balance in &found.balances {
-            let nres = balance.nres.unwrap();
-            assert!((0.85..1.15).contains(&nres), "{period_s} s: {balance:?}");
+            assert!((0.85..1.15).contains(&balance.nres.unwrap()), "{period_s} s: {balance:?}");
             assert_eq!(balance.state, EquationState::Holds);
         }
     }
@@ -66,8 +64,7 @@ fn the_first_location_has_equation_and_axis() {
     ];
     for (id, values, period_s, equation, variable) in cases {
         let found = located(&truth(id, values), period_s, ErrorOf::Model);
-        let case = format!("{id} at {period_s} s");
-        let first = first(&found, (equation, variable), &case);
+        let first = first(&found, (equation, variable), &format!("{id} at {period_s} s"));
         assert_eq!(found.balances[0].equation, equation);
         assert!(found.balances[0].nres.unwrap() > 1.3 && found.balances[0].fails);
         assert!(first.from < first.to && first.share_of_error > 0.5, "{first:?}");
@@ -76,8 +73,7 @@ fn the_first_location_has_equation_and_axis() {
 
 #[test]
 fn stribeck_friction_is_located_at_low_speed() {
-    let peak = truth("stribeck_friction", &[0.2, 10.0]);
-    let found = located(&peak, 0.001, ErrorOf::Structure);
+    let found = located(&truth("stribeck_friction", &[0.2, 10.0]), 0.001, ErrorOf::Structure);
     let first = &found.locations[0];
     assert!(first.to < 30.0 && first.from > -30.0, "{first:?}");
     assert!(first.share_of_time < 0.3 && first.share_of_error > 0.6, "{first:?}");
@@ -217,7 +213,6 @@ fn equations_or_variables_without_a_significant_difference_are_undecided() {
         let (first, mut locations) = failing("torque", 3.0, torque);
         let (second, more) = failing("voltage", less, speed);
         locations.extend(more);
-        let found = undecided(&[first, second], &locations);
-        assert_eq!(found, expected, "{torque:?} {less}");
+        assert_eq!(undecided(&[first, second], &locations), expected, "{torque:?} {less}");
     }
 }

@@ -106,20 +106,13 @@ pub fn torque_map(
             MappedTorque::Cogging => TURN_SHARE * MOST_TURN_RAD / median_speed(run),
         };
         let windows = Windows::up_to(most_s, &rest, run, noise, FEWEST_HALF)?;
-        if let Some(signal) = windows.missing_signal() {
+        let needs_angle = of == MappedTorque::Cogging;
+        let angle = needs_angle.then(|| windows.angle_at_samples()).flatten().unwrap_or_default();
+        let no_angle = (needs_angle && angle.is_empty()).then_some("angle");
+        if let Some(signal) = windows.missing_signal().or(no_angle) {
             left_out.push((index, signal));
             continue;
         }
-        let angle = match of {
-            MappedTorque::Friction => Vec::new(),
-            MappedTorque::Cogging => {
-                let Some(angle) = windows.angle_at_samples() else {
-                    left_out.push((index, "angle"));
-                    continue;
-                };
-                angle
-            }
-        };
         for window in windows.of(Balance::Torque) {
             let place = match of {
                 MappedTorque::Friction => steady_speed(&windows, window, width),
@@ -181,8 +174,7 @@ fn take_friction_out(found: &mut [WindowTorque], bins: &[MapBin]) {
     let in_bin = |row: usize, bin| f64::from(u8::from(bin_of(&found[row]) == bin));
     let columns = DMatrix::from_fn(found.len(), bins.len(), in_bin);
     let torques = DVector::from_fn(found.len(), |row, _| found[row].torque_n_m);
-    let of_bins = partial_regression(&lines, &columns, &torques);
-    let wave = &columns * of_bins.coefficients;
+    let wave = &columns * partial_regression(&lines, &columns, &torques).coefficients;
     let (inverse, _) = least_squares::inverse_where_determined(&lines);
     let friction = &lines * (inverse * lines.tr_mul(&(torques - wave)));
     for (found, friction) in found.iter_mut().zip(&friction) {
@@ -217,7 +209,7 @@ fn student(freedom: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kit::{nameplate, truth as with_effect, with};
+    use crate::kit::{held, nameplate, truth as with_effect, with};
     use drivebench_model::plant::{MotorKey, testing};
 
     fn mapped(
@@ -227,11 +219,8 @@ mod tests {
         levels: &[f64],
         hold_s: f64,
     ) -> TorqueMap {
-        let hold = levels.iter().enumerate();
-        let hold = hold.map(|(step, level)| (0.1 + hold_s * step as f64, *level));
-        let events = std::iter::once((0.0, 0.0)).chain(hold).collect();
-        let length_s = 0.1 + hold_s * levels.len() as f64;
-        let run = testing::record(truth, events, 0.005, length_s, 3);
+        let length_s = 0.5 + hold_s * levels.len() as f64;
+        let run = testing::record(truth, held(levels, hold_s), 0.005, length_s, 3);
         let noise = NoiseFloor::from_spread(&run);
         let measured = torque_map(of, given, &[(run, noise)]).unwrap().unwrap();
         assert!(measured.left_out.is_empty());

@@ -159,11 +159,8 @@ impl Weights {
             let share = 0.5 * (times[(k + 1).min(last)] - times[k.saturating_sub(1)]);
             let value = share * psi((times[k] - middle_s) / half_s);
             // Summed by parts, so that a constant has no rate whatever the stamps are.
-            let after = if k == last {
-                0.0
-            } else {
-                psi((0.5 * (times[k] + times[k + 1]) - middle_s) / half_s)
-            };
+            let next_s = times.get(k + 1).map(|next_s| 0.5 * (times[k] + next_s));
+            let after = next_s.map_or(0.0, |next_s| psi((next_s - middle_s) / half_s));
             mean.push(value);
             rate.push(before - after);
             before = after;
@@ -207,10 +204,9 @@ impl<'a> Windows<'a> {
         let fastest = largest(scenario.speed_rad_s.iter().copied());
         let known =
             |level: f64| (noise.source != FloorSource::None && level.is_finite()).then_some(level);
-        let dead_zone_rad_s = known(noise.speed_rad_s)
-            .map_or(SETTINGS.dead_zone_share_without_noise * fastest, |level| {
-                SETTINGS.dead_zone_sigmas * level
-            })
+        let by_noise = known(noise.speed_rad_s).map(|level| SETTINGS.dead_zone_sigmas * level);
+        let dead_zone_rad_s = by_noise
+            .unwrap_or(SETTINGS.dead_zone_share_without_noise * fastest)
             .max(SETTINGS.dead_zone_share * fastest);
         let torque_constant = match scenario.input {
             Input::Torque => 1.0,
@@ -223,19 +219,11 @@ impl<'a> Windows<'a> {
         // Half of the windows begin in the middle of the others.
         for first in [0, half] {
             let ahead = plant.predict_ahead_from(scenario, prediction.start, 2 * half, first);
-            let mut event = 0;
-            for begin in (first..scenario.samples().saturating_sub(2 * half)).step_by(2 * half) {
-                if !scenario.scored.contains(&begin) {
-                    continue;
-                }
-                while event + 1 < scenario.events.len()
-                    && scenario.events[event + 1].0 <= times[begin]
-                {
-                    event += 1;
-                }
+            let begins = (first..scenario.samples().saturating_sub(2 * half)).step_by(2 * half);
+            for begin in begins.filter(|begin| scenario.scored.contains(begin)) {
                 let range = begin..=begin + 2 * half;
                 let predicted = [&ahead.current_a[range.clone()], &ahead.speed_rad_s[range]];
-                let events = &scenario.events[event..];
+                let events = signal::holding_since(&scenario.events, times[begin]);
                 let window = found.window(begin, model, predicted, levels, noise.memory, events);
                 found.each.push(window);
             }
@@ -262,12 +250,14 @@ impl<'a> Windows<'a> {
         let (back_emf, inertia) = (value(MotorKey::BackEmf), value(MotorKey::Inertia));
         let load = model.motor.get(MotorKey::LoadTorque).unwrap_or(0.0);
         let weights = Weights::over(times);
-        let less = |measured: &[f64], predicted: &[f64]| -> Vec<f64> {
-            measured.iter().zip(predicted).map(|(own, other)| own - other).collect()
+        // Mean of the error of a signal, and of its rate.
+        let error = |measured: &[f64], predicted: &[f64]| {
+            let pairs = measured.iter().zip(predicted);
+            let errors: Vec<f64> = pairs.map(|(own, other)| own - other).collect();
+            [dot(&weights.mean, &errors), dot(&weights.rate, &errors)]
         };
-        let (error_i, error_w) = (less(measured_i, current), less(measured_w, speed));
-        let [e_i, e_w] = [&error_i, &error_w].map(|error| dot(&weights.mean, error));
-        let [e_i_rate, e_w_rate] = [&error_i, &error_w].map(|error| dot(&weights.rate, error));
+        let ([e_i, e_i_rate], [e_w, e_w_rate]) =
+            (error(measured_i, current), error(measured_w, speed));
         let (mut opposite, mut direction, mut at_rest) = (0.0, 0.0, 0.0);
         for ((own, other), mean) in measured_w.iter().zip(speed).zip(&weights.mean) {
             if own.abs() > self.dead_zone_rad_s {

@@ -2,9 +2,9 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use drivebench_model::plant::MotorKey;
+use crate::kit::nameplate;
 use drivebench_model::plant::testing::record;
-use drivebench_model::plant::{ActiveEffect, Input, Motor, effect};
+use drivebench_model::plant::{ActiveEffect, Input, Motor, MotorKey, effect};
 
 /// Steps over the whole speed range with a binary dither on top, after a standstill.
 fn rich(seed: u64, until_s: f64) -> Vec<(f64, f64)> {
@@ -22,31 +22,20 @@ fn rich(seed: u64, until_s: f64) -> Vec<(f64, f64)> {
     events
 }
 
-fn run(settings: &str, values: &[f64], seed: u64, period_s: f64, until_s: f64) -> Scenario {
-    let mut truth = Model::baseline(Motor::zk_22fc());
-    if !settings.is_empty() {
-        let table: toml::Table = settings.parse().unwrap();
-        let id = if table.contains_key("axis") { "table" } else { "custom" };
-        let (effect, _) = effect::define(id, &table).unwrap();
-        let values = values.iter().copied().map(Some).collect();
-        truth.effects.push(ActiveEffect { effect, values });
-    }
+/// A run of the model of the nameplate with a term of its own in an equation, `a` of this size.
+fn run(term: (&str, &str, f64), seed: u64, period_s: f64, until_s: f64) -> Scenario {
+    let (equation, expression, size) = term;
+    let settings =
+        format!("equation = \"{equation}\"\nparameters = [\"a\"]\nexpression = \"{expression}\"");
+    let (effect, _) = effect::define("custom", &settings.parse().unwrap()).unwrap();
+    let mut truth = nameplate();
+    truth.effects.push(ActiveEffect { effect, values: vec![Some(size)] });
     record(&truth, rich(seed, until_s), period_s, until_s, seed)
 }
 
 fn maps(scenario: &Scenario) -> Vec<AxisMap> {
     let noise = NoiseFloor::from_standstill(scenario).unwrap();
-    axis_map(&Model::baseline(Motor::zk_22fc()), scenario, &noise).unwrap()
-}
-
-const TORQUE: &str = "equation = \"torque\"\nparameters = [\"a\"]\nexpression = ";
-
-fn torque(expression: &str) -> String {
-    format!("{TORQUE}\"{expression}\"")
-}
-
-fn voltage(expression: &str) -> String {
-    torque(expression).replace("torque", "voltage")
+    axis_map(&nameplate(), scenario, &noise).unwrap()
 }
 
 /// The map with the largest share: of this axis and equation, and above this share.
@@ -56,8 +45,7 @@ fn leading<'a>(
     case: &str,
 ) -> &'a AxisMap {
     let first = &found[0];
-    let place = (first.equation, first.axis);
-    assert_eq!(place, (equation, axis), "{case}: {found:#?}");
+    assert_eq!((first.equation, first.axis), (equation, axis), "{case}: {found:#?}");
     assert!(first.r2 > least, "{case}: {first:?}");
     first
 }
@@ -67,7 +55,8 @@ fn the_error_of_a_true_model_depends_on_no_axis() {
     let mut all = Vec::new();
     for (seeds, period_s, until_s) in [(0..5, 0.001, 12.0), (0..2, 0.01, 10.0)] {
         for seed in seeds {
-            let found = maps(&run("", &[], seed, period_s, until_s));
+            let events = rich(seed, until_s);
+            let found = maps(&record(&nameplate(), events, period_s, until_s, seed));
             assert!(found.len() >= 8);
             for map in &found {
                 // Some 400 windows that overlap: by chance up to three times the spread of 0.015.
@@ -83,8 +72,7 @@ fn the_error_of_a_true_model_depends_on_no_axis() {
 
 #[test]
 fn a_bump_over_the_speed_is_a_curve_with_its_position_and_height() {
-    let scenario = run(&torque("a*exp(-((w-118)/15)^2)"), &[0.18], 7, 0.001, 12.0);
-    let found = maps(&scenario);
+    let found = maps(&run(("torque", "a*exp(-((w-118)/15)^2)", 0.18), 7, 0.001, 12.0));
     let first = leading(&found, ("torque", "speed_rad_s", 0.85), "a bump");
     let peak = first.peak().unwrap();
     assert!((first.knots[peak] - 118.0).abs() < 8.0, "{first:?}");
@@ -98,18 +86,18 @@ fn a_bump_over_the_speed_is_a_curve_with_its_position_and_height() {
 
 #[test]
 fn each_error_depends_on_its_own_axis() {
-    for (settings, size, period_s, equation, axis, least) in [
-        (torque("a*abs(w)*w"), 2e-6, 0.001, "torque", "speed_rad_s", 0.84),
-        (torque("a*sin(theta)"), 0.12, 0.001, "torque", "angle_rad", 0.93),
-        (voltage("a*tanh(i/0.05)"), 1.0, 0.001, "voltage", "current_a", 0.9),
-        (torque("a*sin(2*pi*4.625*t)"), 0.1, 0.001, "torque", "frequency_hz", 0.91),
-        (torque("a*(1+sgn(t-6))/2"), 0.1, 0.001, "torque", "time_s", 0.73),
-        (torque("a*abs(w)*w"), 2e-6, 0.01, "torque", "speed_rad_s", 0.8),
-        (torque("a*sin(theta)"), 0.12, 0.01, "torque", "angle_rad", 0.7),
-        (voltage("a*tanh(i/0.05)"), 1.0, 0.01, "voltage", "current_a", 0.7),
+    for (equation, expression, size, period_s, axis, least) in [
+        ("torque", "a*abs(w)*w", 2e-6, 0.001, "speed_rad_s", 0.84),
+        ("torque", "a*sin(theta)", 0.12, 0.001, "angle_rad", 0.93),
+        ("voltage", "a*tanh(i/0.05)", 1.0, 0.001, "current_a", 0.9),
+        ("torque", "a*sin(2*pi*4.625*t)", 0.1, 0.001, "frequency_hz", 0.91),
+        ("torque", "a*(1+sgn(t-6))/2", 0.1, 0.001, "time_s", 0.73),
+        ("torque", "a*abs(w)*w", 2e-6, 0.01, "speed_rad_s", 0.8),
+        ("torque", "a*sin(theta)", 0.12, 0.01, "angle_rad", 0.7),
+        ("voltage", "a*tanh(i/0.05)", 1.0, 0.01, "current_a", 0.7),
     ] {
-        let found = maps(&run(&settings, &[size], 7, period_s, 12.0));
-        let case = format!("{settings} at {period_s} s");
+        let found = maps(&run((equation, expression, size), 7, period_s, 12.0));
+        let case = format!("{expression} at {period_s} s");
         let first = leading(&found, (equation, axis, least), &case);
         if axis == "frequency_hz" {
             assert!((first.knots[0] - 4.625).abs() < 0.01, "{first:?}");
@@ -120,7 +108,7 @@ fn each_error_depends_on_its_own_axis() {
 
 #[test]
 fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
-    let mut scenario = run(&torque("a*abs(w)*w"), &[2e-6], 7, 0.001, 8.0);
+    let mut scenario = run(("torque", "a*abs(w)*w", 2e-6), 7, 0.001, 8.0);
     // A drive holds its torque from one stamp to the next: the mean of both.
     let torque = scenario.current_a.windows(2);
     let torque: Vec<f64> = torque.map(|ends| 0.3538 * 0.5 * (ends[0] + ends[1])).collect();
@@ -137,8 +125,7 @@ fn a_run_that_is_driven_by_torque_has_a_torque_balance_only() {
 
 #[test]
 fn times_count_from_the_begin_of_a_run() {
-    let settings = torque("a*exp(-((t-8)/2)^2)");
-    let run = run(&settings, &[0.18], 7, 0.001, 12.0);
+    let run = run(("torque", "a*exp(-((t-8)/2)^2)", 0.18), 7, 0.001, 12.0);
     let mut later = run.clone();
     for time_s in &mut later.sample_time_s {
         *time_s += 32.0;
