@@ -8,11 +8,9 @@ use std::cmp::Ordering;
 use super::Confidence;
 use super::finding::{Doubt, Reason};
 use super::source::{Source, Sources, VOLTAGES};
-use drivebench_identify::sanity::{self, Balances};
+use drivebench_identify::sanity::{self, Balances, EXPLAINS};
 use drivebench_model::sample::Channel;
 
-/// What is left unexplained of both balances, up to which a choice explains the record.
-const EXPLAINS: f64 = 0.35;
 /// Candidates of one quantity that are tried.
 const MOST_TRIED: usize = 6;
 
@@ -44,9 +42,8 @@ impl<'a> Trial<'a> {
     /// `None` where a column stands for two quantities.
     fn of(time_s: &[f64], picked: [Option<&'a Source>; 3]) -> Option<Self> {
         let mut trial = Self { picked, mixed: 0, rank: 0, balances: None };
-        let mut columns: Vec<usize> = trial.columns().collect();
-        columns.sort_unstable();
-        if columns.windows(2).any(|pair| pair[0] == pair[1]) {
+        let columns: Vec<usize> = trial.columns().collect();
+        if (1..columns.len()).any(|at| columns[..at].contains(&columns[at])) {
             return None;
         }
         let there: Vec<&Source> = picked.into_iter().flatten().collect();
@@ -87,8 +84,7 @@ impl<'a> Trial<'a> {
 /// Chooses voltage, current and speed together, then what else stands in the file.
 pub(super) fn choose(time_s: &[f64], sources: &Sources, headers: &[String]) -> Chosen {
     let options = [&VOLTAGES[..], &[Channel::Current], &[Channel::Speed]].map(|channels| {
-        let tried = sources.of(channels).take(MOST_TRIED).map(Some);
-        tried.chain([None]).collect::<Vec<_>>()
+        sources.of(channels).take(MOST_TRIED).map(Some).chain([None]).collect::<Vec<_>>()
     });
     let mut trials = Vec::new();
     for voltage in &options[0] {
@@ -133,8 +129,7 @@ fn compare_with_others(
             Some((rival, other))
         });
         let Some((rival, other)) = rival else { continue };
-        let header = other.columns.iter().map(|column| headers[*column].as_str());
-        let header = header.collect::<Vec<_>>().join("*");
+        let header = other.columns.iter().map(|column| name(*column)).collect::<Vec<_>>().join("*");
         let left = best.cost();
         if left < EXPLAINS && rival.cost() > 2.0 * left {
             let by_other = rival.balances.filter(Balances::is_physical).map(|found| found.error());
@@ -152,10 +147,10 @@ fn compare_with_others(
 
 /// Turns the column whose sign no motor has; the sources are voltage, current and speed.
 fn settle_signs(time_s: &[f64], sources: &mut [Source], given: &Balances) {
-    let left = |found: &Balances| [found.voltage_error, found.torque_error];
     if given.is_physical() {
         let (resistance, back_emf) = (given.resistance.value, given.back_emf.value);
-        sources[0].reasons.push(Reason::BalanceHolds { resistance, back_emf, left: left(given) });
+        let left = given.left();
+        sources[0].reasons.push(Reason::BalanceHolds { resistance, back_emf, left });
         return;
     }
     let Some(coefficient) = given.impossible() else { return };
@@ -166,7 +161,7 @@ fn settle_signs(time_s: &[f64], sources: &mut [Source], given: &Balances) {
         if let Some(found) = sanity::balances(time_s, values).filter(holds) {
             let source = &mut sources[reversed];
             source.at_least(Confidence::Likely);
-            source.reasons.push(Reason::Reversed { coefficient, left: left(&found) });
+            source.reasons.push(Reason::Reversed { coefficient, left: found.left() });
             return;
         }
         sources[reversed].scale(-1.0);

@@ -23,16 +23,15 @@ const NUMBERED: [&str; 14] = [
 
 impl Parts {
     pub(super) fn of(header: &str) -> Self {
-        let bracketed = in_brackets(header).map(|(rest, inside)| (rest, Unit::of(inside), inside));
-        match bracketed {
-            Some((rest, Some(unit), _)) => Self { words: words(&rest), unit: Some(unit) },
-            // The brackets hold words: `Voltage (motor)`.
-            Some((rest, None, inside)) => {
-                let own = Self::without_brackets(&rest);
-                Self { words: [own.words, words(inside)].concat(), unit: own.unit }
-            }
-            None => Self::without_brackets(header),
+        let Some((rest, inside)) = in_brackets(header) else {
+            return Self::without_brackets(header);
+        };
+        if let Some(unit) = Unit::of(inside) {
+            return Self { words: words(&rest), unit: Some(unit) };
         }
+        // The brackets hold words: `Voltage (motor)`.
+        let own = Self::without_brackets(&rest);
+        Self { words: [own.words, words(inside)].concat(), unit: own.unit }
     }
 
     fn without_brackets(header: &str) -> Self {
@@ -58,19 +57,16 @@ impl Parts {
             }
             if let Some(unit) = spelled.iter().find_map(|text| Unit::of(text)) {
                 let rest = if before.is_empty() { &parts[..] } else { before };
-                return Self {
-                    words: rest.iter().flat_map(|part| words(part)).collect(),
-                    unit: Some(unit),
-                };
+                let words = rest.iter().flat_map(|part| words(part)).collect();
+                return Self { words, unit: Some(unit) };
             }
         }
         let all = words(header);
         for count in (1..=all.len().min(3)).rev() {
             let (before, last) = all.split_at(all.len() - count);
             let spelled = last.join(" ").replace(" per ", "/").replace(' ', "");
-            if let Some(unit) =
-                Unit::of(&spelled).filter(|_| spelled.len() > 2 && !before.is_empty())
-            {
+            let is_unit = spelled.len() > 2 && !before.is_empty();
+            if let Some(unit) = Unit::of(&spelled).filter(|_| is_unit) {
                 return Self { words: before.to_vec(), unit: Some(unit) };
             }
         }
@@ -78,8 +74,8 @@ impl Parts {
         let is_name = |unit: &Unit| {
             matches!(unit.quantity, Quantity::Speed | Quantity::Voltage | Quantity::Current)
         };
-        let named = all.iter().filter(|word| word.len() > 2).filter_map(|word| Unit::of(word));
-        let unit = named.into_iter().find(is_name);
+        let mut named = all.iter().filter(|word| word.len() > 2).filter_map(|word| Unit::of(word));
+        let unit = named.find(is_name);
         Self { words: all, unit }
     }
 }
@@ -98,9 +94,8 @@ fn is_separator(letter: char) -> bool {
 
 /// The words of a text, split at separators, between digits and letters, and at capitals inside: `leftSpeed2`.
 fn words(text: &str) -> Vec<String> {
-    let mut words: Vec<String> = Vec::new();
     let letters: Vec<char> = text.chars().collect();
-    let mut word = String::new();
+    let mut parted = String::new();
     for (at, letter) in letters.iter().copied().enumerate() {
         let before = at.checked_sub(1).map(|at| letters[at]);
         let after = letters.get(at + 1);
@@ -111,16 +106,10 @@ fn words(text: &str) -> Vec<String> {
                     && letter.is_uppercase()
                     && after.is_some_and(|after| after.is_lowercase())
         });
-        if is_separator(letter) || is_break {
-            words.extend((!word.is_empty()).then(|| plain(&word)));
-            word.clear();
-        }
-        if !is_separator(letter) {
-            word.push(letter);
-        }
+        parted.extend(is_break.then_some(' '));
+        parted.push(letter);
     }
-    words.extend((!word.is_empty()).then(|| plain(&word)));
-    words
+    parted.split(is_separator).filter(|word| !word.is_empty()).map(plain).collect()
 }
 
 #[cfg(test)]

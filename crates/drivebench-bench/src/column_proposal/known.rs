@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use drivebench_identify::sanity::any_unit;
-use drivebench_model::text::number::shortest;
+use drivebench_model::text::number::with_digits;
 use serde::Deserialize;
 
 /// What a column of a foreign log holds.
@@ -84,7 +84,7 @@ impl Factor {
 
     /// As it stands in a map behind the star, the number in braces; ten figures without an exponent.
     pub(super) fn text(&self) -> String {
-        let value = shortest(self.value, 10).parse().unwrap_or(self.value);
+        let value = with_digits(self.value, 10);
         match self.number {
             None => value.to_string(),
             Some((name, 1)) if Self::of(value).is_one() => format!("{{{name}}}"),
@@ -208,9 +208,8 @@ impl Known {
     }
 
     pub(super) fn qualifier(&self, token: &str) -> Option<Qualifier> {
-        let begins =
-            |name: &str| name.len() >= 4 && token.len() > name.len() + 3 && token.starts_with(name);
-        meaning(&self.qualifiers, token, begins)
+        let is_long = |name: &str| name.len() >= 4 && token.len() > name.len() + 3;
+        meaning(&self.qualifiers, token, |name| is_long(name) && token.starts_with(name))
     }
 
     pub(super) fn symbol(&self, header: &str) -> Option<&Symbol> {
@@ -292,8 +291,7 @@ mod tests {
             assert!(tool.needs >= 1 && tool.needs <= tool.signature.len(), "{}", tool.name);
             for column in &tool.columns {
                 assert_eq!(plain(&column.header), column.header, "{}", tool.name);
-                let units = [&column.unit, &column.likely_unit].into_iter().flatten();
-                for unit in units {
+                for unit in [&column.unit, &column.likely_unit].into_iter().flatten() {
                     assert!(Unit::of(unit).is_some(), "{}: {unit}", tool.name);
                 }
             }

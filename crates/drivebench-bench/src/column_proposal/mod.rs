@@ -172,9 +172,8 @@ fn all_readings(preview: &Preview, tool: Option<&'static Tool>) -> Vec<Reading> 
     let is_named = |column: &usize| !preview.headers[*column].is_empty();
     let columns = (0..preview.headers.len()).filter(is_named);
     for column in columns.clone().filter(|column| preview.columns[*column].is_clock) {
-        let is_time =
-            |reading: &Reading| reading.column == column && reading.quantity == Quantity::Time;
-        if !found.iter().any(is_time) {
+        let mut own = found.iter().filter(|reading| reading.column == column);
+        if own.all(|reading| reading.quantity != Quantity::Time) {
             found.retain(|reading| reading.column != column);
             found.push(Reading::new(column, Quantity::Time, None, None, Reason::Clocks));
         }
@@ -227,12 +226,9 @@ fn finish(
     // A torque that a drive calculates from its current adds nothing to that current.
     if chosen.has(&[Channel::Current]) {
         let calculated = |source: &mut Source| source.is_of(&[Channel::Torque]) && source.rank > 0;
-        proposal.unused.extend(
-            chosen
-                .sources
-                .extract_if(.., calculated)
-                .map(|source| Unused::Torque { source: text(&source), reasons: source.reasons }),
-        );
+        let left_out = chosen.sources.extract_if(.., calculated);
+        let unused = |it: Source| Unused::Torque { source: text(&it), reasons: it.reasons };
+        proposal.unused.extend(left_out.map(unused));
     }
     if !chosen.has(&[Channel::Speed, Channel::Angle]) {
         proposal.missing.push(Missing::Speed);
@@ -289,15 +285,17 @@ fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, has_hole: bool) -> Vec<F
 }
 
 fn item(source: &Source, headers: &[String]) -> Item {
-    let number =
-        source.factor.number.and_then(|(name, _)| Known::get().numbers.get_key_value(name));
+    let hole = source.factor.number.and_then(|(name, _)| {
+        let (name, how) = Known::get().numbers.get_key_value(name)?;
+        Some(Hole { name, how })
+    });
     Item {
         target: source.key(),
         source: source.text(headers),
         confidence: source.confidence,
         reasons: source.reasons.clone(),
         doubts: source.doubts.clone(),
-        hole: number.map(|(name, how)| Hole { name, how }),
+        hole,
     }
 }
 

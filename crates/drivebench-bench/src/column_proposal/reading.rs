@@ -48,8 +48,7 @@ pub(super) fn readings(preview: &Preview, tool: Option<&'static Tool>) -> Vec<Re
 fn of_column(preview: &Preview, column: usize, tool: Option<&'static Tool>) -> Vec<Reading> {
     let header = preview.headers[column].as_str();
     let parts = Parts::of(header);
-    let row_unit = preview.units.get(column).and_then(|text| Unit::of(text));
-    let stated = row_unit.or(parts.unit);
+    let stated = preview.units.get(column).and_then(|text| Unit::of(text)).or(parts.unit);
     let known = Known::get();
     if let Some(reading) = of_tool(column, header, stated, tool) {
         return vec![reading];

@@ -87,7 +87,7 @@ impl Table<'_> {
             _ => Confidence::Likely,
         };
         let reasons = own.chain(unit.map(|unit| Reason::Unit(unit.name))).collect();
-        let source = Source {
+        self.valued(Source {
             target: Some(target),
             factor: reading.factor,
             unit_from: reading.unit_from,
@@ -95,8 +95,7 @@ impl Table<'_> {
             confidence,
             words: reading.words.clone(),
             ..Source::new(reading.column, reasons)
-        };
-        self.valued(source)
+        })
     }
 
     /// Fills in a number that is given, and the values.
@@ -130,11 +129,11 @@ impl Table<'_> {
             let values = finite(&self.values(reading.column));
             let (least, most) = extent(&values);
             if least < 0.5 * most && !sanity::is_of_a_supply(&values) {
-                let source = self.source(Channel::Voltage, reading);
-                let rank = source.rank + 1;
-                let doubts = vec![Doubt::NotOfSupply];
-                let confidence = Confidence::Unsure;
-                found.all.push(Source { rank, confidence, doubts, ..source });
+                let mut source = self.source(Channel::Voltage, reading);
+                source.rank += 1;
+                source.doubts.push(Doubt::NotOfSupply);
+                source.confidence = Confidence::Unsure;
+                found.all.push(source);
             }
         }
         supplies.sort_by_key(|reading| reading.rank);
@@ -239,12 +238,9 @@ impl Table<'_> {
             (Channel::Speed, Quantity::Speed),
         ];
         let is_open = !matches!(by_unit, Some(Quantity::Current | Quantity::Speed));
-        for (target, quantity) in targets {
-            let is_own = by_unit == Some(quantity);
-            if !is_own && !is_open {
-                continue;
-            }
-            let is_sensor = by_unit == Some(Quantity::Voltage) && !is_own;
+        let is_possible = |quantity| is_open || by_unit == Some(quantity);
+        for (target, quantity) in targets.into_iter().filter(|own| is_possible(own.1)) {
+            let is_sensor = by_unit == Some(Quantity::Voltage) && quantity != Quantity::Voltage;
             let own = reading.clone();
             let own = if is_sensor { own.of_sensor(quantity) } else { own };
             let mut source = self.source(target, &own);
@@ -259,10 +255,8 @@ impl Table<'_> {
     /// Gives speeds and currents without a sign that of a command of the same motor.
     pub(super) fn give_directions(&self, sources: &mut Sources) {
         let directions = std::mem::take(&mut sources.directions).into_iter();
-        let both: Vec<(usize, Vec<String>, Vec<f64>)> = directions
-            .map(|(column, words)| (column, words, self.values(column)))
-            .filter(|(.., values)| turns(values))
-            .collect();
+        let valued = directions.map(|(column, words)| (column, words, self.values(column)));
+        let both: Vec<_> = valued.filter(|(.., values)| turns(values)).collect();
         // Where the shaft turns one way only, a current of one sign is right.
         for channel in [Channel::Speed, Channel::Current] {
             let turns = sources.of(&[Channel::Speed]).any(|speed| turns(&speed.values));

@@ -1,35 +1,26 @@
 use super::*;
 use crate::recording::{ColumnMap, ReadOptions, read_preview};
 use crate::testing::has;
+use drivebench_model::plant::{Input, Plant, State, testing};
 use drivebench_model::units::rpm_from_rad_s;
 use proptest::prelude::*;
 use std::fmt::Write as _;
 
 /// Time, voltage, current, speed and angle of a motor under steps of both directions, 2 ms apart.
 fn motor() -> Vec<[f64; 5]> {
-    let (resistance, inductance, ke, inertia, friction) = (1.2, 0.6e-3, 0.05, 4e-5, 0.012);
-    let step_s = 1e-4;
-    let (mut current, mut speed, mut angle) = (0.0_f64, 0.0_f64, 0.0_f64);
-    let mut rows = Vec::new();
-    for step in 0..60_000_u32 {
-        let time_s = f64::from(step) * step_s;
-        let levels = [0.0, 6.0, -9.0, 11.0, -5.0, 8.0];
-        let voltage = levels[usize::try_from(step / 5_000).unwrap() % levels.len()];
-        if step % 20 == 0 {
-            rows.push([time_s, voltage, current, speed, angle]);
-        }
-        current += step_s * (voltage - resistance * current - ke * speed) / inductance;
-        let torque = ke * current;
-        let friction = if speed == 0.0 {
-            torque.clamp(-friction, friction)
-        } else {
-            friction * speed.signum()
-        };
-        let next = speed + step_s * (torque - friction) / inertia;
-        speed = if speed * next < 0.0 { 0.0 } else { next };
-        angle += step_s * speed;
-    }
-    rows
+    let model = Model::baseline(testing::motor("bench", &[1.2, 0.6e-3, 0.05, 4e-5, 0.012]));
+    let levels = [0.0, 6.0, -9.0, 11.0, -5.0, 8.0].repeat(2);
+    let events = levels.into_iter().enumerate().map(|(step, volts)| (0.5 * step as f64, volts));
+    let times = (0..3000).map(|row| 0.002 * f64::from(row)).collect();
+    let run = Scenario::planned("bench", Input::Voltage, Channel::Voltage, events.collect(), times);
+    let out = Plant::new(&model, Input::Voltage).unwrap().simulate(&run, State::default());
+    let mut angle = 0.0;
+    let row = |(row, time_s): (usize, &f64)| {
+        let (current, speed) = (out.current_a[row], out.speed_rad_s[row]);
+        angle += 0.002 * speed;
+        [*time_s, run.input_at(*time_s), current, speed, angle]
+    };
+    run.sample_time_s.iter().enumerate().map(row).collect()
 }
 
 fn proposal(head: &str, row: impl Fn(usize, &[f64; 5]) -> String) -> Proposal {
@@ -73,7 +64,7 @@ fn a_unit_that_nothing_shows_is_unsure() {
     assert_eq!(of(&found, "current_a"), "likely Current");
     assert_eq!(of(&found, "speed_rad_s"), "unsure Speed");
     has(format!("{found:?}"), "SpeedUnit { unit: \"rad/s\"");
-    has(format!("{found:?}"), "BalanceHolds { resistance: 1.297");
+    has(format!("{found:?}"), "BalanceHolds { resistance: 1.298");
     // With its unit it is sure.
     let found = proposal("Time (s),Voltage (V),Current (A),Speed (rpm)", |_, [t, u, i, w, _]| {
         format!("{t},{u},{i},{}", rpm_from_rad_s(*w))

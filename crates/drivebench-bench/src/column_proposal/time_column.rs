@@ -30,13 +30,12 @@ impl Steps {
             return None;
         }
         let steps: Vec<f64> = values.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        let share = |is: fn(&f64) -> bool| {
-            steps.iter().copied().filter(is).count() as f64 / steps.len() as f64
-        };
+        let share =
+            |is: fn(&&f64) -> bool| steps.iter().filter(is).count() as f64 / steps.len() as f64;
         let middle = median(&steps);
         Some(Self {
-            rising: share(|step| *step > 0.0),
-            falling: share(|step| *step < 0.0),
+            rising: share(|step| **step > 0.0),
+            falling: share(|step| **step < 0.0),
             step: middle / stride as f64,
             spread: robust_deviation(&steps) / middle,
             first: values[0],
@@ -128,8 +127,7 @@ fn by_name(preview: &Preview, reading: &Reading, steps: &Steps) -> Source {
         return time;
     }
     time.reasons.push(rises(steps));
-    let stated = reading.unit.filter(|_| reading.unit_from == UnitFrom::Stated);
-    let Some(unit) = stated else {
+    let Some(unit) = reading.unit.filter(|_| reading.unit_from == UnitFrom::Stated) else {
         time.settle_unit(steps);
         return time;
     };
@@ -171,11 +169,8 @@ impl Source {
         if let Some((name, factor)) = of_stamps.or(seconds) {
             self.reasons.push(Reason::Stamps(name));
             self.factor = Factor::of(factor);
-            self.confidence = if is_epoch(factor) && factor <= 1.0 {
-                Confidence::Sure
-            } else {
-                Confidence::Likely
-            };
+            let is_sure = is_epoch(factor) && factor <= 1.0;
+            self.confidence = if is_sure { Confidence::Sure } else { Confidence::Likely };
             return;
         }
         let units = [("s", 1.0), ("ms", 1e-3), ("us", 1e-6)];
@@ -210,11 +205,9 @@ impl Source {
 pub(super) fn rising_rows(time_s: &[f64]) -> Vec<usize> {
     let mut last = f64::NEG_INFINITY;
     let is_later = |row: &usize| {
-        let later = time_s[*row] > last;
-        if later {
-            last = time_s[*row];
-        }
-        later
+        let before = last;
+        last = last.max(time_s[*row]);
+        time_s[*row] > before
     };
     (0..time_s.len()).filter(is_later).collect()
 }

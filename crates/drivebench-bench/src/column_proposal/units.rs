@@ -74,16 +74,17 @@ fn against_angle(over_angle: f64, speed: &mut Source, angle: &mut Source) {
     if speed.factor.number.is_some() {
         return;
     }
+    // Unit and factor of the speed, factor of the angle.
     let mut pairs = Vec::new();
     for (speed_unit, speed_factor) in units_of(speed, &["rad/s", "r/min", "deg/s", "turns/s"]) {
-        for (angle_unit, angle_factor) in units_of(angle, &["rad", "deg", "turns"]) {
+        for (_, angle_factor) in units_of(angle, &["rad", "deg", "turns"]) {
             if near(over_angle.abs(), angle_factor / speed_factor) {
-                pairs.push((speed_unit, speed_factor, angle_unit, angle_factor));
+                pairs.push((speed_unit, speed_factor, angle_factor));
             }
         }
     }
     match pairs.as_slice() {
-        [(speed_unit, speed_factor, _, angle_factor)] => {
+        [(speed_unit, speed_factor, angle_factor)] => {
             speed.scale(speed_factor / speed.factor.value.abs());
             angle.scale(angle_factor / angle.factor.value.abs());
             if !is_stated(speed) {
