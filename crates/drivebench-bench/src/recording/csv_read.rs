@@ -154,7 +154,7 @@ impl<R: BufRead> CsvRows<R> {
             missing: options.missing.cloned().unwrap_or_default(),
             numbers,
             clock: Clock::default(),
-            axis: TimeAxis::new(),
+            axis: TimeAxis::default(),
             last_s: None,
             lines: 0,
             rows: 0,

@@ -15,7 +15,8 @@
 
 use std::collections::VecDeque;
 
-use drivebench_model::numerics::statistics::median;
+use drivebench_model::numerics::statistics::{median, median_step};
+use drivebench_model::text::number::with_digits;
 
 /// Steps whose median is the usual one.
 const STEPS: usize = 16;
@@ -115,6 +116,7 @@ impl Count {
 }
 
 /// Orders rows of the kind `T`.
+#[derive(Default)]
 pub(super) struct TimeAxis<T> {
     /// Added to the stamps of the file.
     shift_s: f64,
@@ -145,30 +147,6 @@ pub(super) struct TimeAxis<T> {
 }
 
 impl<T> TimeAxis<T> {
-    pub(super) fn new() -> Self {
-        Self {
-            shift_s: 0.0,
-            last: None,
-            kept: 0,
-            steps: [0.0; STEPS],
-            mean_s: 0.0,
-            block_s: 0.0,
-            past: Vec::new(),
-            read: 0,
-            held: VecDeque::new(),
-            is_ahead: false,
-            ready: VecDeque::new(),
-            repeats_at: None,
-            falls: 0,
-            first_fall: None,
-            same: 0,
-            backwards: 0,
-            repeats: Count::default(),
-            rollovers: Vec::new(),
-            set_backs: Vec::new(),
-        }
-    }
-
     /// Rows left out.
     pub(super) fn left_out(&self) -> usize {
         self.same + self.backwards + self.repeats.rows
@@ -234,8 +212,8 @@ impl<T> TimeAxis<T> {
     pub(super) fn sentences(&self, column: &str) -> Vec<String> {
         let (same, backwards) = (self.same, self.backwards);
         let mut sentences = Vec::new();
-        if same + backwards > 0 {
-            let all = same + backwards;
+        let all = same + backwards;
+        if all > 0 {
             sentences.push(format!(
                 "{all} rows whose time is not after that of the row before were left out: {same} repeat it, {backwards} go back"
             ));
@@ -255,8 +233,8 @@ impl<T> TimeAxis<T> {
         for (seconds, line) in &self.set_backs {
             sentences.push(format!(
                 "the clock was set back by {} s in line {line}: the rows go on one usual step ({} s) after the row before",
-                short(*seconds),
-                short(self.usual_step())
+                with_digits(*seconds, 6),
+                with_digits(self.usual_step(), 6)
             ));
         }
         sentences
@@ -295,8 +273,7 @@ impl<T> TimeAxis<T> {
         match self.kept.saturating_sub(1) {
             0 => {
                 let held: Vec<f64> = self.held.iter().map(|(stamp, _)| stamp.time_s).collect();
-                let steps: Vec<f64> = held.windows(2).map(|pair| pair[1] - pair[0]).collect();
-                median(&steps)
+                median_step(&held)
             }
             count if count < STEPS => median(&self.steps[..count]),
             _ => median(&self.steps),
@@ -376,9 +353,7 @@ impl<T> TimeAxis<T> {
                 && stamp.time_s >= least_s - 1e-9 * range_s
                 && before_s < least_s + range_s * (1.0 + 1e-9)
         };
-        let Some(counter) = counters.into_iter().find(is_it) else {
-            return false;
-        };
+        let Some(counter) = counters.into_iter().find(is_it) else { return false };
         self.shift_s += counter.range_s;
         let known = self.rollovers.iter().position(|(known, _)| *known == counter);
         let place = known.unwrap_or_else(|| {
@@ -397,8 +372,7 @@ impl<T> TimeAxis<T> {
         // The held rows and this one stand in the past themselves.
         let older = self.read - self.past.len()..self.read - self.held.len() - 1;
         let checksum = |at: usize| self.past[at % ROWS].1;
-        let mut pairs = older.clone().zip(older.skip(1));
-        let found = pairs.find(|(at, next)| {
+        let found = older.clone().zip(older.skip(1)).find(|(at, next)| {
             checksum(*at) == before.checksum && checksum(*next) == stamp.checksum
         });
         found.map(|(at, _)| at)
@@ -460,21 +434,17 @@ impl<T> TimeAxis<T> {
     }
 }
 
-/// Six significant figures, without zeros at the end.
-fn short(value: f64) -> String {
-    let digits = format!("{value:.5e}");
-    digits.parse::<f64>().map_or(digits, |value| value.to_string())
-}
-
 #[cfg(test)]
 mod tests {
+    use std::ops::Range;
+
     use super::*;
     use proptest::prelude::*;
 
     /// Rows with these stamps in a column of counts of 1 ms; the checksum of a row is that of its stamp. Returns the times
     /// of the kept rows, and the sentences.
     fn ordered(stamps: &[f64]) -> Result<(Vec<f64>, Vec<String>), Fall> {
-        let mut axis = TimeAxis::new();
+        let mut axis = TimeAxis::default();
         let mut times = Vec::new();
         for (place, time_s) in stamps.iter().enumerate() {
             let (line, row) = (place + 2, place + 1);
@@ -492,8 +462,13 @@ mod tests {
     }
 
     /// Stamps of a range of counts of 2 ms.
-    fn counts(range: std::ops::Range<u32>) -> Vec<f64> {
+    fn counts(range: Range<u32>) -> Vec<f64> {
         range.map(|count| f64::from(count) * 2e-3).collect()
+    }
+
+    /// Those of ranges one behind the other.
+    fn in_turn<const N: usize>(ranges: [Range<u32>; N]) -> Vec<f64> {
+        ranges.map(counts).concat()
     }
 
     #[test]
@@ -505,48 +480,25 @@ mod tests {
         };
         let even = |stamps: Vec<f64>| (stamps, 100, "");
         let begins = "begins again once";
+        let ahead = [counts(0..50), vec![65_535.0], counts(50..99)].concat();
+        let back = [counts(0..99), vec![0.001]].concat();
+        let mut set_back = in_turn([1000..1050, 1045..1095]);
+        set_back[50..].iter_mut().for_each(|time_s| *time_s += 1e-3);
         for (name, (stamps, rows, part)) in [
             ("in order", even(counts(0..100))),
-            ("a gap", even([counts(0..50), counts(5000..5050)].concat())),
+            ("a gap", even(in_turn([0..50, 5000..5050]))),
             ("16 bits", (wrapped(65.536, 0.0), 100, "a counter of 16 bits")),
             ("16 bits with a sign", (wrapped(65.536, -32.768), 100, "a counter of 16 bits")),
             ("32 bits", (wrapped(4_294_967.296, 0.0), 100, "a counter of 32 bits")),
             ("microseconds", (wrapped(4_294.967_296, 0.0), 100, "32 bits of microseconds")),
             ("a second", (wrapped(1.0, 0.0), 100, "a counter of a second")),
             ("a day", (wrapped(86_400.0, 0.0), 100, begins)),
-            (
-                "a rotated file",
-                ([counts(0..400), counts(200..500)].concat(), 500, "200 rows repeat earlier rows"),
-            ),
-            (
-                "one row out of order",
-                ([counts(0..50), counts(40..41), counts(50..99)].concat(), 99, "1 rows repeat"),
-            ),
-            (
-                "one stamp far ahead",
-                ([counts(0..50), vec![65_535.0], counts(50..99)].concat(), 99, "1 go back"),
-            ),
-            (
-                "the last row back",
-                ([counts(0..99), vec![0.001]].concat(), 99, "0 repeat it, 1 go back"),
-            ),
-            (
-                "set back",
-                (
-                    [counts(1000..1050), counts(500..550)].concat(),
-                    100,
-                    "set back by 1.098 s in line 52",
-                ),
-            ),
-            (
-                "set back by four rows",
-                (
-                    [counts(1000..1050), counts(1045..1095).iter().map(|t| t + 1e-3).collect()]
-                        .concat(),
-                    96,
-                    "0 repeat it, 4 go back",
-                ),
-            ),
+            ("a rotated file", (in_turn([0..400, 200..500]), 500, "200 rows repeat earlier rows")),
+            ("one row out of order", (in_turn([0..50, 40..41, 50..99]), 99, "1 rows repeat")),
+            ("one stamp far ahead", (ahead, 99, "1 go back")),
+            ("the last row back", (back, 99, "0 repeat it, 1 go back")),
+            ("set back", (in_turn([1000..1050, 500..550]), 100, "set back by 1.098 s in line 52")),
+            ("set back by four rows", (set_back, 96, "0 repeat it, 4 go back")),
         ] {
             let (times, sentences) =
                 ordered(&stamps).unwrap_or_else(|fall| panic!("{name}: {fall:?}"));
@@ -565,8 +517,7 @@ mod tests {
 
     #[test]
     fn other_falls_are_refused_where_they_begin() {
-        let set_backs =
-            [9, 7, 5, 3, 1].map(|begin| counts(begin * 1000..begin * 1000 + 50)).concat();
+        let set_backs = in_turn([9, 7, 5, 3, 1].map(|begin| begin * 1000..begin * 1000 + 50));
         let reversed: Vec<f64> = counts(0..100).into_iter().rev().collect();
         let pairs: Vec<f64> =
             counts(0..100).chunks(2).flat_map(|pair| [pair[1], pair[0]]).collect();
