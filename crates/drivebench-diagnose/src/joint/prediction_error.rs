@@ -452,7 +452,10 @@ pub(super) fn fit_as_followed(
     start: &Hypothesis,
     runs: &[LinearisedRun<'_>],
 ) -> Option<(Hypothesis, f64)> {
-    let problem = Innovations::new(start, runs);
+    let mut problem = Innovations::new(start, runs);
+    // Tangents are those along the runs as they were followed, which another model may be far from: a start delay of 0.64 s beside
+    // one of 0.4 s did not move. Where the current settles between samples that is each reading.
+    problem.has_tangents &= !runs.iter().any(|run| run.grid.is_refined());
     let minimum = problem.minimum(problem.quick())?;
     Some((problem.hypothesis_at(&minimum.x), minimum.cost))
 }

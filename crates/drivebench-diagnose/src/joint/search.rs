@@ -104,12 +104,6 @@ fn names(linear: &Linear, set: &Set) -> Names {
     named.collect()
 }
 
-fn of_fixed_size(eligible: &[&'static dyn Effect]) -> Vec<&'static str> {
-    let has_size =
-        |effect: &dyn Effect| effect.parameters().iter().any(ParameterSpec::is_coefficient);
-    eligible.iter().filter(|effect| !has_size(**effect)).map(|effect| effect.card().id).collect()
-}
-
 fn improbable(linear: &Linear, posterior: &Posterior) -> Vec<&'static str> {
     let candidates = linear.candidates.iter().zip(&posterior.probability);
     let is_improbable = |(candidate, p): &(&Candidate, &f64)| {
@@ -186,9 +180,8 @@ struct Search<'a> {
     replaced: Option<&'static str>,
     /// The last model that could be simulated and linearised, initially the fitted one.
     last: Hypothesis,
-    /// Effects of fixed size that the last selection found improbable, and all of them far from the data, where the linear solution
-    /// does not hold for them: each of their forms costs a simulation of every run, so that they are left out until the set is
-    /// stable.
+    /// Effects of fixed size that the last selection found improbable: each of their forms costs a simulation of every run, so that
+    /// they are left out until the set is stable.
     improbable: Vec<&'static str>,
 }
 
@@ -207,7 +200,9 @@ impl<'a> Search<'a> {
     ) -> Option<Linear> {
         let is_tried = |effect: &&&'static dyn Effect| {
             let id = effect.card().id;
-            !self.improbable.contains(&id) || hypothesis.model.has(id)
+            let has_fixed_size = !effect.parameters().iter().any(ParameterSpec::is_coefficient);
+            let is_left_out = (is_far && has_fixed_size) || self.improbable.contains(&id);
+            !is_left_out || hypothesis.model.has(id)
         };
         let eligible: Vec<_> = self.eligible.iter().filter(is_tried).copied().collect();
         let mut linear = linearise(hypothesis, &eligible, runs, !is_far)?;
@@ -236,9 +231,6 @@ impl<'a> Search<'a> {
         }
         (self.noise, self.is_near) = noise_of_model(&hypothesis, eligible, self.runs, [floor; 2])?;
         let is_near = self.is_near;
-        if by_voltage && !is_near {
-            self.improbable = of_fixed_size(eligible);
-        }
         let (mut visited, mut moves): (Vec<Names>, usize) = (vec![], 0);
         let rounds = [LIMITS.with_torque_input, LIMITS.with_voltage_input][usize::from(by_voltage)];
         let mut round = 0;
