@@ -26,7 +26,7 @@ fn of_model(model: &Model, effect: &'static dyn Effect, scenario: &Scenario) -> 
     part.candidate.in_model = true;
     let mut effects = model.effects.iter();
     let values = effects.find(|active| active.id() == id)?.values_or_guess();
-    let along = tangent::are_tangents(model);
+    let along = tangent::are_tangents(model, scenario);
     let mut form = Form::new(values.clone(), 0.0);
     if !specs.iter().any(ParameterSpec::is_coefficient) {
         form.fixed_size(model.without_effect(id).ok()?, true);

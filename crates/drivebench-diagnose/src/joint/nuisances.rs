@@ -62,7 +62,7 @@ pub(super) fn column_of(key: MotorKey, model: &Model, scenario: &Scenario) -> Op
 /// The nuisances that are always included: the motor's parameters, and one error each of the stamps of command, current and speed,
 /// equal for all samples; with their prior deviations.
 pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Source, f64)>> {
-    let along = are_tangents(model);
+    let along = are_tangents(model, scenario);
     let mut nuisances = Vec::new();
     for slot in model.free_slots() {
         let Slot::Motor(key) = slot else { continue };
@@ -90,7 +90,7 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 /// Errors of the stamps of command, current and speed, at one standard deviation each.
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
-    let along = by_voltage && are_tangents(model);
+    let along = by_voltage && are_tangents(model, scenario);
     let late = [TermKind::LateCommand, TermKind::LateCurrent, TermKind::LateSpeed];
     let count = if by_voltage { late.len() } else { 1 };
     let period_s = scenario.mean_period_s();

@@ -256,7 +256,7 @@ impl<'a> Innovations<'a> {
             free,
             sizes,
             runs,
-            has_tangents: tangent::are_tangents(model),
+            has_tangents: tangent::are_tangents(model, runs[0].scenario),
             equation_errors: None,
             own: Work::default(),
         }

@@ -4,13 +4,13 @@
 use std::array::from_fn;
 
 use super::grid::Grid;
-use super::kalman::{Dynamics, Transition, Update};
+use super::kalman::{Dynamics, Transition, Update, needs_refinement};
 use super::process_noise::{combined, terms_of};
 use super::run::LinearisedRun;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::effect::{Axis, Harmonic};
 use drivebench_model::plant::{
-    Effect, Instant, Model, MotorKey, Path, Reading, SensorPath, Sums, Terms,
+    Effect, Instant, Model, MotorKey, Path, Reading, Scenario, SensorPath, Sums, Terms,
 };
 
 /// Deviations that are propagated at once, so that the coefficients of a step are read once and vector registers are full.
@@ -616,9 +616,14 @@ fn motor_forcing(
     }
 }
 
-/// Whether the tangents are derivatives of the model. They are not with a second inertia.
-pub(super) fn are_tangents(model: &Model) -> bool {
-    model.effects.iter().all(|active| terms_of(active).coupling().is_none())
+/// Whether the tangents are derivatives of the model. They are not with a second inertia, or where the current hardly settles between
+/// two samples.
+pub(super) fn are_tangents(model: &Model, scenario: &Scenario) -> bool {
+    let terms: Vec<Box<dyn Terms>> = model.effects.iter().map(terms_of).collect();
+    let paths = terms.iter().map(|terms| terms.path());
+    let path = paths.fold(Path::of(scenario.sensors), Path::plus);
+    terms.iter().all(|terms| terms.coupling().is_none())
+        && needs_refinement(model, scenario, &path).is_some()
 }
 
 /// Derivative by a parameter of an effect: of a coefficient for `unit` of it, of a shape by a difference over `step`, which is `over` in
@@ -689,7 +694,7 @@ mod tests {
     use crate::joint::kalman::{DISTURBED, hole};
     use crate::kit::{self, nameplate, truth};
     use drivebench_model::plant::testing::record;
-    use drivebench_model::plant::{Scenario, State, UnknownInput};
+    use drivebench_model::plant::{State, UnknownInput};
 
     const ALL: Range<usize> = 0..usize::MAX;
 
