@@ -44,6 +44,7 @@ fn propagated_rms(
             form: [0.0; 3],
             added_variance,
             unobserved: added_variance,
+            edges: [0.0; 2],
             covariance: if transition.restarts { 0.0 } else { covariance },
             ..*transition
         };
