@@ -453,8 +453,8 @@ pub(super) fn fit_as_followed(
     runs: &[LinearisedRun<'_>],
 ) -> Option<(Hypothesis, f64)> {
     let mut problem = Innovations::new(start, runs);
-    // Tangents are those along the runs as they were followed, which another model may be far from: a start delay of 0.64 s beside
-    // one of 0.4 s did not move. Where the current settles between samples that is each reading.
+    // Tangents are those along the runs as they were followed, which another model may be far from: a fit that began at a start
+    // delay of 0.64 s, of 0.4 s in truth, did not move.
     problem.has_tangents &= !runs.iter().any(|run| run.grid.is_refined());
     let minimum = problem.minimum(problem.quick())?;
     Some((problem.hypothesis_at(&minimum.x), minimum.cost))

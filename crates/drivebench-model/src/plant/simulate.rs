@@ -36,7 +36,8 @@ use crate::numerics::root;
 const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
 /// Angle of the shaft in a sub-step with effects of the angle, rad: a fourteenth of the period of six teeth.
 const LONGEST_TURN_RAD: f64 = 0.3;
-/// Sub-steps between two samples that are enough whatever the time of response is.
+/// Sub-steps between two samples that are enough whatever the time of response is: with 10 and 20 the sizes found on the records of a
+/// servo at 100 Hz, whose current settles in a hundredth of a period, are the same within 1 %.
 const MOST_STEPS_A_SAMPLE: f64 = 10.0;
 
 /// A simulated run at the scenario's sample times.
@@ -406,8 +407,8 @@ impl Plant {
                 ..Instant::default()
             };
             let before = self.trace.is_some().then_some(*state);
-            let rate_a_per_s =
-                self.sensors.as_ref().map(|_| self.equations.current_rate(state, &at));
+            let settles = self.sensors.is_some() && self.equations.settles_within(h);
+            let rate_a_per_s = settles.then(|| self.equations.current_rate(state, &at));
             let from_a = state.current_a;
             self.resolved_step(state, at, h);
             if let (Some(trace), Some(before)) = (&mut self.trace, before) {
@@ -424,8 +425,9 @@ impl Plant {
                 state.angle_rad += state.speed_rad_s * h;
             }
             if let Some(sensors) = &mut self.sensors {
-                let transient = rate_a_per_s
-                    .and_then(|rate| self.equations.transient(rate, state.current_a - from_a, h));
+                let change_a = state.current_a - from_a;
+                let transient =
+                    rate_a_per_s.map(|rate| self.equations.transient(rate, change_a, h));
                 sensors.follow_with(reading(begin_s + h, state), transient);
             }
         }

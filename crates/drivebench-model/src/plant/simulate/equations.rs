@@ -262,22 +262,23 @@ impl Equations {
         linear + self.forcing(state, at)[0]
     }
 
-    /// The part of a current that settles within an interval, from its rate at the begin and its change; `None` where it hardly
-    /// settles, or where another input than a voltage drives.
+    /// Whether the current settles within an interval, so that it is no straight line.
+    pub(super) fn settles_within(&self, interval_s: f64) -> bool {
+        self.input == Input::Voltage && interval_s * -self.a[0][0] >= 0.5
+    }
+
+    /// The part of a current that settles within an interval, from its rate at the begin and its change.
     pub(super) fn transient(
         &self,
         rate_a_per_s: f64,
         change_a: f64,
         interval_s: f64,
-    ) -> Option<Transient<1>> {
+    ) -> Transient<1> {
         let time_constant_s = -1.0 / self.a[0][0];
-        if self.input != Input::Voltage || interval_s < 0.5 * time_constant_s {
-            return None;
-        }
         let share = 1.0 - (-interval_s / time_constant_s).exp();
         let size_a =
             (rate_a_per_s - change_a / interval_s) / (share / interval_s - 1.0 / time_constant_s);
-        Some(Transient { size_a: [size_a], time_constant_s })
+        Transient { size_a: [size_a], time_constant_s }
     }
 
     /// The share by which effects that change the inertia reduce any acceleration.
