@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_700),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 21_650),
+    ("crates/drivebench-diagnose", 21_670),
     ("crates/drivebench-emulator", 13_230),
     ("crates/drivebench-identify", 24_000),
     ("crates/drivebench-link", 18_890),

@@ -16,7 +16,7 @@ use super::location::{
 };
 use super::next_experiment::NextExperiment;
 use super::progress::{Event, Progress, Stage, silent};
-use super::score::{Fitted, Score, by_key, cannot_simulate, in_noise};
+use super::score::{Fitted, Score, by_key, cannot_simulate};
 use super::trivial::{self, TrivialPrediction};
 use super::vetoes;
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
@@ -242,23 +242,58 @@ pub fn diagnose_with(
     evidence: Evidence,
     progress: Progress<'_>,
 ) -> Result<Diagnosis, FitError> {
+    let several = (evidence.parts.len() > 1).then(|| evidence.clone());
     let training = &evidence.training;
-    if training.input == Input::Voltage && training.is_stamped_by_host() {
-        let (bench, baseline) = Bench::new(model, evidence.clone())?;
-        let inference = bench.infer(&baseline, &eligible(&baseline.model, None), progress)?;
-        if let Some(delayed) = with_offset(model, &baseline, &inference, &evidence)? {
-            return search(&delayed, evidence, progress);
-        }
+    let has_offset = training.input == Input::Voltage && training.is_stamped_by_host();
+    let again = has_offset.then(|| evidence.clone());
+    let (mut model, mut begun) = (model.clone(), begin(model, evidence, progress)?);
+    if let Some(evidence) = again
+        && let Some(delayed) = with_offset(&model, &begun, &evidence)?
+    {
+        begun = begin(&delayed, evidence, progress)?;
+        model = delayed;
     }
-    search(model, evidence, progress)
+    let Begun { bench, baseline, eligible, inference } = begun;
+    // Only the inference shows which effects cannot be fitted to concatenated runs.
+    let found = inference.to_be_fitted();
+    let several = several.filter(|_| bench.evidence.parts.len() > 1);
+    let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) else {
+        return Ok(Conclusion::of(bench, &baseline, inference, progress)?.answer());
+    };
+    // All runs without the effects of a single one, or the first run alone: whichever predicts the hold-out better.
+    let eligible_of_all = eligible.iter().filter(|effect| !effect.goes_on_over_runs());
+    let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
+    let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
+    let all = Conclusion::of(bench, &baseline, of_all, progress)?;
+    let (bench, baseline) = Bench::for_fits_of(&found, &model, several)?;
+    let inference = bench.infer(&baseline, &eligible, progress)?;
+    let first = Conclusion::of(bench, &baseline, inference, progress)?;
+    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? { all } else { first };
+    Ok(better.answer())
+}
+
+/// The refitted baseline with the inference about it.
+struct Begun {
+    bench: Bench,
+    baseline: Fitted,
+    eligible: Vec<&'static dyn Effect>,
+    inference: Inference,
+}
+
+fn begin(model: &Model, evidence: Evidence, progress: Progress<'_>) -> Result<Begun, FitError> {
+    progress(Event::Begun { stage: Stage::Baseline, of: 0 });
+    let (bench, baseline) = Bench::new(model, evidence)?;
+    progress(Event::Begun { stage: Stage::Screen, of: CATALOGUE.len() });
+    let eligible = eligible(&baseline.model, None);
+    let inference = bench.infer(&baseline, &eligible, progress)?;
+    Ok(Begun { bench, baseline, eligible, inference })
 }
 
 /// `model` with the offset of the stamps that fits best with the effects that were found; `None` where it has that already. A delay
 /// of the commands within the uncertainty of the stamps is this offset.
 fn with_offset(
     model: &Model,
-    baseline: &Fitted,
-    inference: &Inference,
+    Begun { baseline, inference, .. }: &Begun,
     evidence: &Evidence,
 ) -> Result<Option<Model>, FitError> {
     let Some((_, prior_s)) = evidence.training.input_delay_s() else {
@@ -280,35 +315,6 @@ fn with_offset(
     // A twentieth of what is known of it beforehand is within the errors of an inductance or a filter.
     let changes = (after_s - before_s).abs() > 0.05 * prior_s;
     Ok(changes.then(|| Model { input_delay_s: Some(after_s), ..model.clone() }))
-}
-
-fn search(
-    model: &Model,
-    evidence: Evidence,
-    progress: Progress<'_>,
-) -> Result<Diagnosis, FitError> {
-    progress(Event::Begun { stage: Stage::Baseline, of: 0 });
-    let several = (evidence.parts.len() > 1).then(|| evidence.clone());
-    let (bench, baseline) = Bench::new(model, evidence)?;
-    progress(Event::Begun { stage: Stage::Screen, of: CATALOGUE.len() });
-    let eligible = eligible(&baseline.model, None);
-    let inference = bench.infer(&baseline, &eligible, progress)?;
-    // Only the inference shows which effects cannot be fitted to concatenated runs.
-    let found = inference.to_be_fitted();
-    let several = several.filter(|_| bench.evidence.parts.len() > 1);
-    let Some(several) = several.filter(|all| all.fitted_with(&found).1.is_some()) else {
-        return Ok(Conclusion::of(bench, &baseline, inference, progress)?.answer());
-    };
-    // All runs without the effects of a single one, or the first run alone: whichever predicts the hold-out better.
-    let eligible_of_all = eligible.iter().filter(|effect| !effect.goes_on_over_runs());
-    let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
-    let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
-    let all = Conclusion::of(bench, &baseline, of_all, progress)?;
-    let (bench, baseline) = Bench::for_fits_of(&found, model, several)?;
-    let inference = bench.infer(&baseline, &eligible, progress)?;
-    let first = Conclusion::of(bench, &baseline, inference, progress)?;
-    let better = if all.held_out_by(&first)? < first.held_out_by(&first)? { all } else { first };
-    Ok(better.answer())
 }
 
 /// A ladder of which no effect is vetoed, with its runs and its inference.
@@ -609,9 +615,9 @@ fn confirmed(
         let after = bench.confirming(&diagnosis.model.model, run)?;
         let models = [&before.model, &after.model];
         let found = likelier(models, [before.start, after.start], run, noise, is_known);
-        let (z, unobserved) = found.ok_or_else(|| cannot_simulate(run))?;
-        let unobserved = in_noise(unobserved.map(Some), &evidence.noise);
-        let floor = Floor::new(evidence, unobserved.unwrap_or(0.0));
+        let (z, unpredicted) = found.ok_or_else(|| cannot_simulate(run))?;
+        let unpredicted = unpredicted.in_noise(&evidence.noise);
+        let floor = Floor::new(evidence, unpredicted.unwrap_or_default());
         let [before, after] = [before.score.nrms, after.score.nrms];
         if !(before.is_finite() && after.is_finite()) {
             return Err(nothing_judged(run));

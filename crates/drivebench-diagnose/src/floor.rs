@@ -3,7 +3,7 @@
 
 use super::evidence::{Evidence, not_repeated};
 use super::joint::Noise;
-use super::joint::free_run::unobserved_in;
+use super::joint::free_run::{Unpredicted, unpredicted_in};
 use super::limits::RepeatUnknown;
 use super::location::{FailureLocation, locate_difference};
 use super::score::in_noise;
@@ -22,31 +22,36 @@ pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
 #[derive(Clone, Copy)]
 pub(super) struct Floor<'a> {
     evidence: &'a Evidence,
-    /// Error by the unknown commands of lost rows: root mean square, in the same units.
-    unobserved: f64,
+    /// Root mean squares, in the same units.
+    unpredicted: Unpredicted<f64>,
 }
 
 impl<'a> Floor<'a> {
-    pub(super) const fn new(evidence: &'a Evidence, unobserved: f64) -> Self {
-        Self { evidence, unobserved }
+    pub(super) const fn new(evidence: &'a Evidence, unpredicted: Unpredicted<f64>) -> Self {
+        Self { evidence, unpredicted }
     }
 
     fn with(self, unobserved: f64) -> f64 {
         if self.evidence.noise.source == FloorSource::None {
             0.0
         } else {
-            1.0_f64.hypot(unobserved)
+            1.0_f64.hypot(self.unpredicted.stamps).hypot(unobserved)
         }
     }
 
     /// Its mean; zero where the noise is not known.
     pub(super) fn expected(self) -> f64 {
-        self.with(self.unobserved)
+        self.with(self.unpredicted.lost_rows)
     }
 
     /// Its upper bound in one run.
     pub(super) fn highest(self) -> f64 {
-        self.with(MOST_UNOBSERVED_RATIO * self.unobserved)
+        self.with(MOST_UNOBSERVED_RATIO * self.unpredicted.lost_rows)
+    }
+
+    /// Whether an error is no more than the noise of sensors and stamps, without an allowance for lost rows.
+    pub(super) fn is_noise(self, nrms: f64) -> bool {
+        self.evidence.noise.is_at(self.with(0.0), nrms)
     }
 
     /// Whether an error is no more than the noise.
@@ -100,14 +105,15 @@ impl Repeatability {
             return Self::default();
         };
         let runs = [evidence.first_run(), repeat];
-        let unobserved = runs.map(|run| {
-            let unobserved = unobserved_in(run, model, noise, is_known)?;
-            in_noise(unobserved.map(Some), &evidence.noise)
+        let lost_rows = runs.map(|run| {
+            let unpredicted = unpredicted_in(run, model, noise, is_known)?;
+            Some(unpredicted.in_noise(&evidence.noise)?.lost_rows)
         });
-        let [Some(first), Some(second)] = unobserved else {
+        let [Some(first), Some(second)] = lost_rows else {
             return Self::not_known(RepeatUnknown::NotFollowed);
         };
-        let floor = Floor::new(evidence, first.hypot(second) / f64::sqrt(2.0));
+        let lost_rows = first.hypot(second) / f64::sqrt(2.0);
+        let floor = Floor::new(evidence, Unpredicted { lost_rows, stamps: 0.0 });
         if floor.highest() > REPEATS_RATIO {
             return Self::not_known(RepeatUnknown::RowsLost);
         }
@@ -146,7 +152,11 @@ mod tests {
     fn lost_rows_raise_the_floor() {
         let evidence = Evidence::new(with_a_fan(0), Some(with_a_fan(1)), None);
         assert_eq!(evidence.noise.source, FloorSource::Standstill);
-        let (whole, lossy) = (Floor::new(&evidence, 0.0), Floor::new(&evidence, 0.75));
+        let of = |lost_rows, stamps| Floor::new(&evidence, Unpredicted { lost_rows, stamps });
+        let (whole, lossy, stamped) = (of(0.0, 0.0), of(0.75, 0.0), of(0.0, 0.75));
+        // Stamps err at every edge: their mean counts, once.
+        assert!((stamped.expected() - 1.25).abs() < 1e-12 && !stamped.is_reached(1.6));
+        assert!(stamped.is_noise(1.3) && !lossy.is_noise(1.3));
         assert!((lossy.expected() - 1.25).abs() < 1e-12);
         assert!(whole.is_reached(1.05) && !whole.is_reached(1.6) && lossy.is_reached(1.6));
         assert!(!lossy.is_reached(2.2));

@@ -246,11 +246,11 @@ fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
 
 #[test]
 fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_finding() {
-    // Commands that act 0.9 ms after their stamps, each within 0.1 ms.
+    // Commands that act 0.9 ms after their stamps, each within 0.05 ms.
     let (offset_s, half_width_s) = (9e-4, 5e-4);
     let stamped = |mut run: Scenario| {
         for (number, event) in run.events.iter_mut().enumerate().skip(1) {
-            event.0 -= offset_s + 1e-4 * (number as f64 * 2.4).sin();
+            event.0 -= offset_s + 5e-5 * (number as f64 * 2.4).sin();
         }
         run.time_half_width_s = vec![half_width_s; run.samples()];
         run
@@ -263,7 +263,9 @@ fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_
         let model = &found.model.model;
         assert!((model.input_delay_s.unwrap() / offset_s - 1.0).abs() < 0.2, "{model:?}");
         let is_offset = |limit: &Limit| matches!(limit, Limit::StampsOffset { .. });
-        assert!(found.limits.iter().any(is_offset) && found.sufficient, "{:?}", found.limits);
+        assert!(found.limits.iter().any(is_offset), "{:?}", found.limits);
+        // What the stamps err at random and the fit's share of the offset leave.
+        assert!(found.holdout_after < 1.6, "{}", found.holdout_after);
     }
 }
 

@@ -262,7 +262,7 @@ fn without_use(
         // A balance of torques with an error below the floor has systematic errors of its sensors, which are no noise: only a clear
         // fall is an effect (0.30 to 0.28 floors, of a current by a few thousandths, is none). An error of a free run that unknown
         // commands explain, and the noise does not, hides what an effect does; it must not rise.
-        let is_noise = bench.evidence.noise.is_at(1.0, last);
+        let is_noise = floor.is_noise(last);
         let is_none = |pair: &[Standing]| {
             let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
             if bench.fits_at_once() {

@@ -2,6 +2,7 @@
 
 use super::eligible::{prepared, starts, why_not};
 use super::events::Event;
+use super::free_run::Unpredicted;
 use super::kalman::Noise;
 use super::marginal::{Inferred, NAMED_PROBABILITY, TOGETHER_PROBABILITY, shrunk_to_prior};
 use super::noise::initial_noise;
@@ -106,8 +107,8 @@ pub(crate) struct Inference {
     pub(crate) confusable: Vec<[&'static str; 2]>,
     /// Error, in units of the noise, that the disturbance of the load causes on the hold-out.
     pub(crate) disturbance_error: f64,
-    /// The same, caused by the unknown commands in the holes of its record.
-    pub(crate) unobserved: f64,
+    /// The same, caused by the holes of its record and the random errors of its stamps.
+    pub(crate) unpredicted: Unpredicted<f64>,
     /// Noise model of the runs.
     pub(crate) noise: Noise,
     /// Effects that are not named for another reason than their probability.
@@ -119,14 +120,14 @@ pub(crate) struct Inference {
 impl Inference {
     /// The floor of the hold-out.
     pub(crate) const fn floor<'a>(&self, evidence: &'a Evidence) -> Floor<'a> {
-        Floor::new(evidence, self.unobserved)
+        Floor::new(evidence, self.unpredicted)
     }
 
     /// Error of the hold-out by lost rows and its allowance, if it exceeds 0.3 of the noise.
     pub(crate) fn lost_rows(&self, floor: Floor<'_>) -> Option<Limit> {
-        (self.unobserved >= 0.3).then(|| Limit::LostRows {
-            expected: self.unobserved,
-            most: MOST_UNOBSERVED_RATIO * self.unobserved,
+        (self.unpredicted.lost_rows >= 0.3).then(|| Limit::LostRows {
+            expected: self.unpredicted.lost_rows,
+            most: MOST_UNOBSERVED_RATIO * self.unpredicted.lost_rows,
             highest: floor.highest(),
         })
     }
@@ -381,7 +382,7 @@ pub(crate) fn infer(
         unknown,
         named,
         disturbance_error: in_noise(found.disturbance_error),
-        unobserved: in_noise(found.unobserved),
+        unpredicted: found.unpredicted.in_noise(&evidence.noise).unwrap_or_default(),
         noise: found.noise,
         superfluous,
         vetoes: Vec::new(),

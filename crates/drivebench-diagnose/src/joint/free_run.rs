@@ -4,47 +4,76 @@
 use super::eligible::prepared;
 use super::kalman::{Noise, Transition, Update, fix_speed, predicted_covariance, stationary};
 use super::run::LinearisedRun;
+use crate::score::in_noise;
+use drivebench_identify::noise::NoiseFloor;
 use drivebench_model::plant::{Model, Scenario, State};
 
 /// Root mean square error of current, A, and speed, rad/s, of a free run caused by the disturbance.
 pub(super) fn disturbance_error(run: &LinearisedRun<'_>) -> [f64; 2] {
-    propagated_rms(run, &run.noise, |_| [0.0; 2])
+    propagated_rms(run, &run.noise, |_| [[0.0; 2]; 2])
 }
 
-/// The same, caused by the unknown voltage in the holes of the record.
-pub(super) fn unobserved(run: &LinearisedRun<'_>) -> [f64; 2] {
+/// Errors that no model predicts: root mean squares of current and speed, or of both in units of the noise.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Unpredicted<T> {
+    /// By the unknown voltage in the holes of the record.
+    pub(crate) lost_rows: T,
+    /// By the random errors of the host's stamps.
+    pub(crate) stamps: T,
+}
+
+impl Unpredicted<[f64; 2]> {
+    /// In units of the noise; `None` where that of neither signal is known.
+    pub(crate) fn in_noise(self, noise: &NoiseFloor) -> Option<Unpredicted<f64>> {
+        let of = |rms: [f64; 2]| in_noise(rms.map(Some), noise);
+        Some(Unpredicted { lost_rows: of(self.lost_rows)?, stamps: of(self.stamps)? })
+    }
+}
+
+/// The same, caused by holes of the record and by stamps, A and rad/s.
+pub(super) fn unpredicted(run: &LinearisedRun<'_>) -> Unpredicted<[f64; 2]> {
     let calm = Noise { disturbance_n_m: 0.0, input: 0.0, ..run.noise };
-    propagated_rms(run, &calm, |transition| transition.unobserved)
+    let of_commands = propagated_rms(run, &calm, |transition| [[0.0; 2], transition.edges]);
+    let own = &run.filtered.stamp_variance;
+    let count = own.len().max(1) as f64;
+    let of_samples = [0, 1].map(|signal| {
+        let sum: f64 = own.iter().map(|variance| variance[signal]).sum();
+        run.noise.stamps * (sum / count).sqrt()
+    });
+    Unpredicted {
+        lost_rows: propagated_rms(run, &calm, |transition| [transition.unobserved, [0.0; 2]]),
+        stamps: [0, 1].map(|signal| of_commands[signal].hypot(of_samples[signal])),
+    }
 }
 
 /// The same for a run outside the diagnosis; `None` where the model cannot be simulated on it.
-pub(crate) fn unobserved_in(
+pub(crate) fn unpredicted_in(
     run: &Scenario,
     model: &Model,
     noise: Noise,
     noise_is_known: bool,
-) -> Option<[f64; 2]> {
+) -> Option<Unpredicted<[f64; 2]>> {
     let run = prepared(run, noise_is_known);
-    LinearisedRun::new(model, &run, State::default(), noise).map(|run| unobserved(&run))
+    LinearisedRun::new(model, &run, State::default(), noise).map(|run| unpredicted(&run))
 }
 
-/// Root mean square deviation of a free run by a disturbance and `added_variance` per transition (A. Gelb, *Applied Optimal
+/// Root mean square deviation of a free run by a disturbance and the variances added per transition, of one unknown voltage and at edges (A. Gelb, *Applied Optimal
 /// Estimation*, §4.1: covariance propagation without updates).
 fn propagated_rms(
     run: &LinearisedRun<'_>,
     noise: &Noise,
-    added_variance: impl Fn(&Transition) -> [f64; 2],
+    added: impl Fn(&Transition) -> [[f64; 2]; 2],
 ) -> [f64; 2] {
     let mut p = stationary(noise);
     let mut squares = [0.0; 2];
     for (transition, decay) in run.gains.transitions.iter().zip(&run.gains.decays) {
-        let added_variance = added_variance(transition);
+        let [added_variance, edges] = added(transition);
         let covariance = (added_variance[0] * added_variance[1]).sqrt();
         let transition = Transition {
             form: [0.0; 3],
             added_variance,
             unobserved: added_variance,
-            edges: [0.0; 2],
+            edges,
             covariance: if transition.restarts { 0.0 } else { covariance },
             ..*transition
         };
@@ -106,14 +135,14 @@ pub(crate) fn likelier(
     run: &Scenario,
     noise: Noise,
     noise_is_known: bool,
-) -> Option<(f64, [f64; 2])> {
+) -> Option<(f64, Unpredicted<[f64; 2]>)> {
     let run = prepared(run, noise_is_known);
     let [worse, better] = [0, 1].map(|k| LinearisedRun::new(models[k], &run, starts[k], noise));
     let (worse, better) = (worse?, better?);
     let excess = excess(&[(&better, better.filtered.white.clone())]);
     let log_ratio = (log_likelihood(&better) - log_likelihood(&worse)) / excess;
     let z = log_ratio.signum() * (2.0 * log_ratio.abs()).sqrt();
-    log_ratio.is_finite().then(|| (z, unobserved(&better)))
+    log_ratio.is_finite().then(|| (z, unpredicted(&better)))
 }
 
 /// Log likelihood of the innovations, without the constant `-ln(2 pi)/2` per reading.
@@ -153,10 +182,10 @@ mod tests {
         // Both records have the same noise: they differ by the voltage.
         let current = rms(&known.current_a, &other.current_a);
         let truth = [current, rms(&known.speed_rad_s, &other.speed_rad_s)];
-        for (found, truth) in unobserved(&run).into_iter().zip(truth) {
+        for (found, truth) in unpredicted(&run).lost_rows.into_iter().zip(truth) {
             assert!((found / truth - 1.0).abs() < 0.1, "{found}, not {truth}");
         }
-        assert!(unobserved(&whole).iter().all(|rms| *rms <= 0.0));
+        assert!(unpredicted(&whole).lost_rows.iter().all(|rms| *rms <= 0.0));
         // A disturbance of the load does not depend on holes.
         let difference = disturbance_error(&run)[0] / disturbance_error(&whole)[0] - 1.0;
         assert!(difference.abs() < 1e-9, "{difference}");

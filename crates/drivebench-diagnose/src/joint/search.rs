@@ -7,7 +7,7 @@
 
 use super::columns::linearise;
 use super::events::Hypothesis;
-use super::free_run::{disturbance_error, unobserved};
+use super::free_run::{Unpredicted, disturbance_error, unpredicted};
 use super::kalman::Noise;
 use super::noise::maximum_likelihood;
 use super::prediction_error::fit;
@@ -57,8 +57,8 @@ pub(super) struct SearchResult {
     pub(super) excess: f64,
     /// Root mean squares of current, A, and speed, rad/s, that the disturbance makes in a free run of the held-out run.
     pub(super) disturbance_error: [f64; 2],
-    /// The same for the unknown commands within its holes.
-    pub(super) unobserved: [f64; 2],
+    /// The same for its holes and its stamps.
+    pub(super) unpredicted: Unpredicted<[f64; 2]>,
     /// For each candidate that is an unknown function in the best set, its share of the squared residuals.
     pub(super) unknown_share: Vec<f64>,
     /// Whether the budget was spent before set and noise were stable.
@@ -339,7 +339,7 @@ impl<'a> Search<'a> {
         let excess = excess_of(&reduced, &posterior.best, runs);
         let unknown_share = unknown_shares(&reduced, &posterior.best, runs)?;
         let held_out = runs.get(self.runs.held_out)?;
-        let (disturbance_error, unobserved) = (disturbance_error(held_out), unobserved(held_out));
+        let (disturbance_error, unpredicted) = (disturbance_error(held_out), unpredicted(held_out));
         if excess > 1.0 {
             reduced = Reduced::new(reduced.linear, excess, true)?;
             let sets = [posterior.best.clone(), present(&reduced.linear)];
@@ -355,7 +355,7 @@ impl<'a> Search<'a> {
             noise: self.noise,
             excess,
             disturbance_error,
-            unobserved,
+            unpredicted,
             unknown_share,
             is_cut: !is_stable && self.runs.work.is_spent(),
         })
