@@ -36,7 +36,7 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal;
 
 /// Settings of the fit of a balance of torques.
-struct Settings {
+pub(super) struct Settings {
     /// Rows below which a balance is not fitted.
     fewest_rows: usize,
     /// Fewest such blocks.
@@ -59,12 +59,12 @@ struct Settings {
     passes: usize,
     /// Passes where terms depend on the transmitted torque: each leaves a share of the error as large as the ratio of friction to
     /// load, 0.5^24 of which is below `proportional`.
-    passes_of_transmission: usize,
+    pub(super) passes_of_transmission: usize,
     /// Relative change at which passes end.
-    proportional: f64,
+    pub(super) proportional: f64,
 }
 
-const SETTINGS: Settings = Settings {
+pub(super) const SETTINGS: Settings = Settings {
     fewest_rows: 30,
     fewest_blocks: 20.0,
     widened: 2.0,

@@ -277,7 +277,13 @@ fn standard_deviation(values: &[f64]) -> f64 {
     variance(values).sqrt()
 }
 
-/// Noise of a signal from its second differences, robust against outliers and steps; zero without a signal.
+/// Noise of a signal in motion, at least that of its rounding.
+pub fn noise_in_motion(values: &[f64]) -> f64 {
+    roughness(values).max(quantum_noise(quantum(values).unwrap_or(0.0)))
+}
+
+/// Noise of a signal by its second differences (difference-based estimator: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73,
+/// 1986), robust against outliers and steps; zero without a signal.
 pub(super) fn roughness(values: &[f64]) -> f64 {
     let differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
     let differences = finite(&differences.collect::<Vec<f64>>());

@@ -27,7 +27,7 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest_but_outliers;
 use drivebench_model::numerics::{least_squares, statistics};
 use drivebench_model::plant::{
-    Balance, Input, Instant, Model, MotorKey, Scenario, ShaftAngle, Slot,
+    Balance, Input, Instant, Model, MotorKey, REVERSAL_SHARE, Scenario, ShaftAngle, Slot,
 };
 use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
@@ -465,7 +465,7 @@ impl Noise {
 /// (or no torque constant for its current), or the shaft hardly moves.
 ///
 /// Windows of 60 ms that overlap by half, test function `(1 - s^2)^4`, trapezoidal rule on the true stamps; windows with a speed
-/// within the dead zone are left out. A given torque is a zero-order hold, as in the simulation: each sample has its mean over
+/// within the dead zone are left out. A held torque (a reading is put halfway to its neighbours) has at each sample its mean over
 /// half a period on either side, else it would be delayed by half a sample. On the EMPS axis, at 1 kHz, that is the difference
 /// between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
 pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
@@ -483,8 +483,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let steps_s = &scenario.current_steps_s;
     // Windows over the samples that have a speed.
     let speeds: Vec<f64> = at.iter().map(|at| at.speed_rad_s).collect();
-    // Presliding friction at a reversal is not Coulomb friction.
-    let dead_zone_rad_s = (noise.dead_zone_rad_s).max(0.015 * largest_but_outliers(&speeds));
+    let slow_rad_s = REVERSAL_SHARE * largest_but_outliers(&speeds);
+    let dead_zone_rad_s = noise.dead_zone_rad_s.max(slow_rad_s);
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut gain, mut rate_gain) = (0.0, 0.0);
     for begin in begins(&times, &speeds, half, steps_s) {

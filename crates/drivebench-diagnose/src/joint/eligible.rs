@@ -159,18 +159,29 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     let is_own = noise_is_known && span.is_none();
     let apart_s = if is_own { 0.0 } else { 0.03 };
     let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
-    for (time_s, speed) in scenario.sample_time_s.iter().zip(&mut prepared.speed_rad_s) {
-        if !speed.is_finite() {
-            continue;
+    let is_used = |sample: &usize| {
+        let time_s = scenario.sample_time_s[*sample];
+        if !scenario.speed_rad_s[*sample].is_finite() {
+            return false;
         }
-        if *time_s < next_s || skip > 0 {
-            *speed = f64::NAN;
+        if time_s < next_s || skip > 0 {
             skip -= usize::from(skip > 0);
-        } else {
-            // Slack for stamps that are rounded.
-            next_s = time_s + (1.0 - 1e-6) * apart_s;
-            skip = span.map_or(0, |span| span - 1);
+            return false;
         }
-    }
+        // Slack for stamps that are rounded.
+        next_s = time_s + (1.0 - 1e-6) * apart_s;
+        skip = span.map_or(0, |span| span - 1);
+        true
+    };
+    let used: Vec<usize> = (0..scenario.samples()).filter(is_used).collect();
+    let cells = |of: &[f64]| -> Vec<f64> {
+        used.iter().filter_map(|sample| of.get(*sample).copied()).collect()
+    };
+    prepared.angle = scenario.shaft_angle().into_owned();
+    prepared.sample_time_s = cells(&scenario.sample_time_s);
+    prepared.current_a = cells(&scenario.current_a);
+    prepared.speed_rad_s = cells(&scenario.speed_rad_s);
+    prepared.time_half_width_s = cells(&scenario.time_half_width_s);
+    prepared.scored = 0..used.len();
     prepared
 }

@@ -7,7 +7,7 @@ use super::kalman::{Dynamics, FilterGains, FilteredRun, Noise, Transition};
 use super::process_noise::constants;
 use super::tangent::Step;
 use drivebench_model::numerics::propagator::Propagator;
-use drivebench_model::plant::{Input, Instant, Model, Scenario, ShaftAngle, SubStep};
+use drivebench_model::plant::{Instant, Model, Scenario, ShaftAngle, SubStep};
 
 /// Motion over one interval.
 #[derive(Clone, Copy, Debug)]
@@ -98,11 +98,10 @@ impl<'a> Middle<'a> {
             (Some(point), None) => point.1,
             (None, after) => after.map_or(0.0, |after| after.1),
         };
-        let by_voltage = self.scenario.input == Input::Voltage;
         Instant {
             time_s: mid_s - self.scenario.begin_s(),
             voltage_v: input,
-            current_a: if by_voltage { current_a } else { input },
+            current_a,
             speed_rad_s,
             angle: ShaftAngle::at(angle_rad),
             ..self.motor

@@ -6,9 +6,10 @@
 //! and tests on it would be wrong; the innovations are white for any course of the disturbance.
 
 use super::process_noise::{FORM_SHARE, FormErrors};
+use super::torque_balance::{filter_balance, unbalanced_with};
 use drivebench_identify::stamps::spread;
 use drivebench_model::numerics::propagator::{LinearPart, Propagator};
-use drivebench_model::numerics::statistics::{largest, median, median_step};
+use drivebench_model::numerics::statistics::{largest, median_step};
 use drivebench_model::plant::{
     Correction, Input, Model, MotorKey, Path, Plant, Scenario, State, SubStep, Trajectory,
     UnknownInput,
@@ -24,7 +25,7 @@ pub(crate) struct Noise {
     pub disturbance_n_m: f64,
     pub correlation_s: f64,
     /// Standard deviation of the error of the input: of a voltage, V, correlated over [`Dynamics`]' `input_s`; of a torque, N.m,
-    /// measured or from a measured current, independent from sample to sample.
+    /// measured or from a measured current, independent from row to row.
     pub input: f64,
     /// Prior deviation of the logarithm of the sensors' noise.
     pub sensors: f64,
@@ -33,18 +34,15 @@ pub(crate) struct Noise {
     pub stamps: f64,
 }
 
-/// Sampling periods without a value of torque or speed after which the speed is treated as unknown: a zero-order hold over a
-/// longer gap is no measurement.
-const LONGEST_HOLD_PERIODS: f64 = 5.0;
-/// Share of the largest speed below which the torque balance is not used in runs with a torque input: around a reversal friction
-/// is between stiction and sliding.
-const REVERSAL_SHARE: f64 = 0.015;
-
-/// Linear dynamics of the deviations.
+/// Linear dynamics of the deviations. Of a balance of torques the second deviation is the unbalanced torque, which no state keeps,
+/// and the input's error is the noise of the last speed.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Dynamics {
     moving: LinearPart,
     stuck: LinearPart,
+    /// Inertia where the torque balance is the measurement: its rows are in newton metres.
+    pub(super) balanced_kg_m2: Option<f64>,
+    /// One over the inertia; 1 where the torque balance is the measurement.
     pub(super) inverse_inertia: f64,
     pub(super) inverse_inductance: f64,
     /// Rates of current and speed for one unit of the input's error.
@@ -67,9 +65,10 @@ impl Dynamics {
         let mut dynamics = Self {
             moving: LinearPart::new(&[[0.0; 2]; 2]),
             stuck: LinearPart::new(&[[0.0; 2]; 2]),
-            inverse_inertia: 1.0 / inertia,
+            balanced_kg_m2: Some(inertia),
+            inverse_inertia: 1.0,
             inverse_inductance: 0.0,
-            per_input: [0.0, 1.0 / inertia],
+            per_input: [1.0, 0.0],
             input_s: 0.0,
             ringing_s: scenario.scales.responses(RINGING_RESPONSES),
         };
@@ -78,6 +77,7 @@ impl Dynamics {
             let (ke, kt) = (value(MotorKey::BackEmf)?, model.motor.torque_constant()?);
             dynamics.moving = LinearPart::new(&[[-r / l, -ke / l], [kt / inertia, 0.0]]);
             dynamics.stuck = LinearPart::new(&[[-r / l, 0.0], [0.0, 0.0]]);
+            (dynamics.balanced_kg_m2, dynamics.inverse_inertia) = (None, 1.0 / inertia);
             dynamics.inverse_inductance = 1.0 / l;
             dynamics.per_input = [1.0 / l, 0.0];
             dynamics.input_s = scenario.scales.responses(INPUT_RESPONSES);
@@ -95,8 +95,18 @@ impl Dynamics {
         }
     }
 
+    /// Standard deviations of the noise of both measurements: of current and speed, or of the torque of a balance.
+    pub(super) fn measurement_noise(&self, noise: &Noise) -> [f64; 2] {
+        let is_balance = self.balanced_kg_m2.is_some();
+        [noise.current_a, if is_balance { noise.input } else { noise.speed_rad_s }]
+    }
+
     /// Transition matrix of the deviations over an interval.
     pub(super) fn over(&self, interval_s: f64, rests: bool) -> Propagator {
+        if let Some(inertia) = self.balanced_kg_m2 {
+            let on_speed = if interval_s > 0.0 { -inertia / interval_s } else { 0.0 };
+            return Propagator { phi: [[0.0; 2]; 2], gamma: [[0.0; 2], [on_speed, 1.0]] };
+        }
         let part = if rests { &self.stuck } else { &self.moving };
         part.over(interval_s)
     }
@@ -203,9 +213,7 @@ fn measured(scenario: &Scenario, noise: &Noise, sample: usize) -> [Option<f64>; 
     let value = |values: &[f64], level: f64| {
         Some(values[sample]).filter(|value| value.is_finite() && level.is_finite())
     };
-    let by_voltage = scenario.input == Input::Voltage;
-    let current = by_voltage.then(|| value(&scenario.current_a, noise.current_a));
-    [current.flatten(), value(&scenario.speed_rad_s, noise.speed_rad_s)]
+    [value(&scenario.current_a, noise.current_a), value(&scenario.speed_rad_s, noise.speed_rad_s)]
 }
 
 /// Variance of the speed that a break-away or a change of sign adds: a deviation of 0.0017 of the largest speed.
@@ -223,12 +231,6 @@ struct Filter<'a> {
     load_n_m: f64,
     input: f64,
     jump: f64,
-    /// Where a torque drives: the speed below which its balance does not hold, and for how long one value may stand.
-    slow_rad_s: f64,
-    longest_hold_s: f64,
-    /// Time of the last measured speed, and the gap after which the speed counts as unknown.
-    observed_s: f64,
-    longest_blind_s: f64,
     direction: f64,
     last_s: f64,
     last_speed: f64,
@@ -265,20 +267,6 @@ impl<'a> Filter<'a> {
         }
         let holes = scenario.unknown_input.iter();
         let restarted = holes.filter(|hole| hole.restart.is_some());
-        let held = scenario.events.iter().map(|event| event.0);
-        let observed = scenario
-            .sample_time_s
-            .iter()
-            .zip(&scenario.speed_rad_s)
-            .filter(|row| row.1.is_finite())
-            .map(|row| *row.0);
-        let by_voltage = scenario.input == Input::Voltage;
-        let longest = |times: Vec<f64>| {
-            let gaps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
-            let periods = if by_voltage { f64::INFINITY } else { LONGEST_HOLD_PERIODS };
-            periods * median(&gaps)
-        };
-        let slow_rad_s = REVERSAL_SHARE * largest(&scenario.speed_rad_s);
         let forms = FormErrors::of(model, scenario);
         let paths = forms.terms.iter().map(|terms| terms.path());
         let path = paths.fold(Path::of(scenario.sensors), Path::plus);
@@ -293,10 +281,6 @@ impl<'a> Filter<'a> {
             load_n_m: 0.0,
             input: 0.0,
             jump: reversal_variance(scenario),
-            slow_rad_s: if by_voltage { 0.0 } else { slow_rad_s },
-            longest_hold_s: longest(held.collect()),
-            observed_s: scenario.begin_s(),
-            longest_blind_s: longest(observed.collect()),
             direction: start.direction(),
             last_s: scenario.begin_s(),
             last_speed: start.speed_rad_s,
@@ -395,7 +379,6 @@ impl<'a> Filter<'a> {
         &self,
         [interval_s, time_s]: [f64; 2],
         moved: [f64; 2],
-        speed_rad_s: f64,
     ) -> ([f64; 2], [f64; 2], f64) {
         let from_s = time_s - interval_s;
         let holes_v2 = self.holes_v2(from_s, time_s, |hole| hole.variance);
@@ -404,16 +387,8 @@ impl<'a> Filter<'a> {
         let unobserved = moved.map(|moved| moved * moved * holes_v2);
         let [current, speed] = moved.map(|moved| moved * moved * one_v2);
         let current = current + moved[0] * moved[0] * (uniform_v2 - sampled_v2);
-        let slow = speed_rad_s.abs().min(self.last_speed.abs()) < self.slow_rad_s;
-        let held_s = time_s - self.scenario.events[self.event].0;
-        let is_blind = time_s - self.observed_s > self.longest_blind_s;
-        let anew = match (held_s > self.longest_hold_s || is_blind, slow) {
-            (true, _) => self.slow_rad_s / REVERSAL_SHARE,
-            (_, true) => self.slow_rad_s,
-            _ => 0.0,
-        };
         let covariance = moved[0] * moved[1] * (one_v2 - sampled_v2);
-        ([current, speed + anew * anew], unobserved, covariance)
+        ([current, speed], unobserved, covariance)
     }
 
     /// Time update to `sample`, where the model is in `state`: the transition, the autocorrelation of the disturbance, and the
@@ -448,7 +423,7 @@ impl<'a> Filter<'a> {
             let measured = known.map(|level| level * level);
             (measured, measured, 0.0)
         } else {
-            self.added_variance([interval_s, time_s], moved, state.speed_rad_s)
+            self.added_variance([interval_s, time_s], moved)
         };
         if restarts {
             self.ringing = self.most_ringing;
@@ -497,7 +472,6 @@ impl<'a> Filter<'a> {
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
-            self.observed_s = self.scenario.sample_time_s[sample];
             let e = value - reading[1] - moved;
             // A shaft that rests in the model and is measured to move, by five standard deviations, is released.
             if rests && e.abs() > 5.0 * self.noise.speed_rad_s {
@@ -533,6 +507,9 @@ pub(super) fn filter_run(
     start: State,
     noise: &Noise,
 ) -> Option<(FilterGains, FilteredRun)> {
+    if scenario.input != Input::Voltage {
+        return filter_balance(model, scenario, noise);
+    }
     let mut filter = Filter::new(model, scenario, start, noise)?;
     let mut plant = Plant::new(model, scenario.input).ok()?;
     let path = filter.path;
@@ -627,6 +604,9 @@ pub(super) fn innovations_with(
     noise: &Noise,
     out: &mut Vec<[f64; 2]>,
 ) -> Option<u64> {
+    if scenario.input != Input::Voltage {
+        return unbalanced_with(gains, model, scenario, out);
+    }
     let mut plant = Plant::new(model, scenario.input).ok()?;
     out.clear();
     let (mut load, mut input) = (0.0, 0.0);
@@ -689,6 +669,15 @@ pub(super) fn predicted_covariance(
         (transition.added_variance[1] + edges[1] + ringing * dynamics.inverse_inertia.powi(2))
             * moving;
     out[2][2] += (noise.disturbance_n_m.powi(2) + transition.form[1]) * (1.0 - decay * decay);
+    if dynamics.balanced_kg_m2.is_some() {
+        // The noise of the next speed acts with the opposite sign of that of the last one.
+        let (speed, variance) = (-input[1] * moving, noise.speed_rad_s.powi(2));
+        out[1][1] += speed * speed * variance;
+        out[1][3] += speed * variance;
+        out[3][1] += speed * variance;
+        out[3][3] += variance;
+        return out;
+    }
     out[3][3] +=
         (noise.input.powi(2) * transition.input_share + transition.form[0]) * (1.0 - keeps * keeps);
     out

@@ -3,6 +3,7 @@
 //!
 //! ```text
 //! model, run --(kalman: filter; run: linearised run)--> innovations, gains
+//! (torque_balance: the same of a run that a torque or a current drives, along its measured motion)
 //!                 |-> columns   regressors: change of the whitened innovations by each effect at its slab size
 //!                 |             (nuisances: parameters that are always included; tangent: forward sensitivities, eight at a
 //!                 |             time; screening: which forms get a column; whitened: storage and products of columns)
@@ -48,6 +49,7 @@ mod select;
 mod solution;
 mod stepwise;
 mod tangent;
+mod torque_balance;
 mod whitened;
 
 pub(super) use kalman::Noise;

@@ -15,9 +15,9 @@ use super::run::LinearisedRun;
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::{Whitened, add_upper, turned};
-use drivebench_identify::noise::{FloorSource, NoiseFloor};
+use drivebench_identify::noise::{FloorSource, NoiseFloor, noise_in_motion};
 use drivebench_model::numerics::count::whole;
-use drivebench_model::numerics::statistics::{finite, largest, robust_deviation};
+use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, RunScales, Scenario};
 
 /// Starting values: known sensor noise, a disturbance of 0.004 of the largest torque.
@@ -40,23 +40,17 @@ pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -
     };
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
-        noise.input = (1e-3 * torque).max(f64::MIN_POSITIVE);
+        // White noise first: from a start without it the search ends at a large disturbance.
+        let torques: Vec<f64> = run.events.iter().map(|event| event.1).collect();
+        let white = constants(model, run).torque_n_m_per_a * noise_in_motion(&torques);
+        noise.input = white.max(1e-3 * torque).max(f64::MIN_POSITIVE);
         // In a run without a voltage the noise in motion may differ from that at rest.
-        noise.sensors = 0.7;
+        noise.sensors = 2.0;
         if floor.source == FloorSource::None {
-            noise.speed_rad_s = roughness(&run.speed_rad_s).max(f64::MIN_POSITIVE);
-            noise.sensors = 2.0;
+            noise.speed_rad_s = noise_in_motion(&run.speed_rad_s).max(f64::MIN_POSITIVE);
         }
     }
     noise
-}
-
-/// Noise of a signal by its second differences (difference-based estimator: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73,
-/// 1986), with a robust deviation against outliers and steps.
-fn roughness(values: &[f64]) -> f64 {
-    let values = finite(values);
-    let second_differences = values.windows(3).map(|v| v[0] - 2.0 * v[1] + v[2]);
-    robust_deviation(&second_differences.collect::<Vec<_>>()) / 6f64.sqrt()
 }
 
 /// Block averages of one run, unwhitened, so that any noise parameters can be tried.
@@ -169,7 +163,12 @@ fn transition_of(
         let last = sample.checked_sub(1).map(|last| run.filtered.direction[last]);
         let turns = last.is_some_and(|last| transition.direction * last <= 0.0);
         jumps |= turns && transition.direction != 0.0;
-        block.direction = transition.direction;
+        // Rows of a balance that are not used do not end a block.
+        if run.dynamics.balanced_kg_m2.is_none() {
+            block.direction = transition.direction;
+        } else if transition.direction != 0.0 {
+            (block.direction, jumps) = (transition.direction, false);
+        }
     }
     let mean_input = run.dynamics.mean_input(block.interval_s, size as f64);
     (block.input_keeps, block.input_share) = mean_input;
@@ -207,7 +206,7 @@ impl BlockAverages {
                 if count == 0.0 {
                     continue;
                 }
-                let sigma = [noise.current_a, noise.speed_rad_s][signal];
+                let sigma = run.dynamics.measurement_noise(noise)[signal];
                 let stamp_variance = noise.stamps.powi(2) * self.stamp_variance[block][signal];
                 let s = p[signal][signal] + (sigma * sigma + stamp_variance / count) / count;
                 let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);

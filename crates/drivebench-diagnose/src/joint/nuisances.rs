@@ -90,7 +90,7 @@ pub(super) fn nuisances(model: &Model, scenario: &Scenario) -> Option<Vec<(Sourc
 /// Errors of the stamps of command, current and speed, at one standard deviation each.
 fn stamps(model: &Model, scenario: &Scenario) -> impl Iterator<Item = Source> {
     let by_voltage = scenario.input == Input::Voltage;
-    let along = by_voltage && are_tangents(model, scenario);
+    let along = are_tangents(model, scenario);
     let late = [TermKind::LateCommand, TermKind::LateCurrent, TermKind::LateSpeed];
     let count = if by_voltage { late.len() } else { 1 };
     let period_s = scenario.mean_period_s();

@@ -42,9 +42,9 @@ fn coloured<const N: usize>(
             lane[..N].copy_from_slice(&columns.map(|column| column[signal]));
         }
         let [current, speed] = track.colour(&run.gains.updates[sample], &lanes);
-        let noise = &run.noise;
+        let [current_sd, second_sd] = run.dynamics.measurement_noise(&run.noise);
         let over = |lane: Lane, sd: f64| std::array::from_fn(|k| lane[k] / sd);
-        [over(current, noise.current_a), over(speed, noise.speed_rad_s)]
+        [over(current, current_sd), over(speed, second_sd)]
     })
 }
 

@@ -217,10 +217,21 @@ pub(super) struct Wave {
     pub of_current: bool,
 }
 
-/// Forcing of the current, constant over each interval, that is equal to a delay of the commands by `late_s`.
+/// Forcing of the current, or of a balance of torques, constant over each interval, that is equal to a delay of the commands by `late_s`.
 fn delay_forcing(run: &LinearisedRun<'_>, late_s: f64) -> Vec<f64> {
     let Grid { instants, motions, .. } = &run.grid;
     let mut forcing = vec![0.0; motions.len()];
+    if run.dynamics.balanced_kg_m2.is_some() {
+        // From the torque that the model transmits: the difference of a measured one has its noise.
+        for (k, three) in instants.windows(3).enumerate() {
+            let used = motions[k..k + 3].iter().all(|motion| motion.direction != 0.0);
+            let torque = |at: &Instant| at.torque_n_m_per_a * at.current_a;
+            let rate =
+                (torque(&three[2]) - torque(&three[0])) / (three[2].time_s - three[0].time_s);
+            forcing[k + 1] = if used { -late_s * rate } else { 0.0 };
+        }
+        return forcing;
+    }
     let known_s = run.gains.command_delay_s;
     for pair in run.scenario.events.windows(2) {
         let acts_s = pair[1].0 + known_s;
@@ -521,12 +532,14 @@ fn force(
     let motions = &run.grid.motions[range.clone()];
     let inductance = run.dynamics.inverse_inductance;
     let inertia = run.dynamics.inverse_inertia;
+    let of_rate = run.dynamics.balanced_kg_m2.unwrap_or(1.0);
     let along = || instants.iter().zip(motions).enumerate();
     match forcing_state.tangent {
         Tangent::Offset(_) | Tangent::ReadingDelay(_) => {}
         Tangent::CommandDelay(_) => {
+            let is_balance = run.dynamics.balanced_kg_m2.is_some();
             for (k, pulse) in forcing_state.delay_forcing[range].iter().enumerate() {
-                put(k, [*pulse, 0.0]);
+                put(k, if is_balance { [0.0, *pulse] } else { [*pulse, 0.0] });
             }
         }
         Tangent::Motor(key, by) => {
@@ -562,7 +575,7 @@ fn force(
             for (k, (at, motion)) in along() {
                 let sums = forcing_state.sums(at, motion.interval_s);
                 let inductive_v = sums.current_rate_gain * inductive_v(run, at);
-                let acceleration = sums.inertia_gain * motion.rates[1];
+                let acceleration = sums.inertia_gain * of_rate * motion.rates[1];
                 let torque_n_m = sums.torque_n_m + motion.direction * sums.friction_n_m;
                 put(
                     k,

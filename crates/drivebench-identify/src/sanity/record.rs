@@ -11,6 +11,7 @@ use crate::belief::Settings;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::{extent, finite, median};
 use drivebench_model::plant::MotorKey;
+use drivebench_model::sample::Channel;
 
 /// Share of the voltage that resistance and inductance may leave unexplained in a winding at rest.
 const AT_REST: f64 = 0.3;
@@ -275,11 +276,13 @@ fn overflow_of(watched: &Watched<'_>) -> Option<Finding> {
     if jumps.len() < 3 || is_coarse || median(&sizes) > Settings::CLEAR * range {
         return None;
     }
-    let voltage = &table.voltage_v;
+    // A current that drives is no cause of its own jumps.
+    let is_driven = *key == Channel::Speed.key();
+    let input = if is_driven { &table.input } else { &table.voltage_v };
     let stands = |row: &&usize| {
-        let beside = row.saturating_sub(2)..(**row + 2).min(voltage.len());
-        let moved = span(&voltage[beside]);
-        moved.is_infinite() || moved <= Settings::FAR * span(voltage)
+        let beside = row.saturating_sub(2)..(**row + 2).min(input.len());
+        let moved = span(&input[beside]);
+        moved.is_infinite() || moved <= Settings::FAR * span(input)
     };
     // Most jumps occur at a constant input.
     let uncaused = jumps.iter().filter(stands).count();

@@ -18,6 +18,8 @@ use drivebench_model::signal;
 pub(super) struct Table {
     pub(super) time_s: Vec<f64>,
     pub(super) voltage_v: Vec<f64>,
+    /// What drives the shaft, whatever its unit: voltage, current or torque.
+    pub(super) input: Vec<f64>,
     pub(super) current_a: Vec<f64>,
     pub(super) speed_rad_s: Vec<f64>,
     /// Sensors of current and speed.
@@ -31,17 +33,18 @@ pub(super) struct Table {
 
 impl Table {
     pub(super) fn new(scenario: &Scenario) -> Self {
-        let voltage = |time_s: &f64| match scenario.input {
-            Input::Voltage => signal::held(&scenario.events, *time_s).unwrap_or(f64::NAN),
-            Input::Current | Input::Torque => f64::NAN,
-        };
+        let input = |time_s: &f64| signal::held(&scenario.events, *time_s).unwrap_or(f64::NAN);
         let rows = whole_rows(scenario);
         let of = |values: &[f64]| -> Vec<f64> { rows.iter().map(|row| values[*row]).collect() };
         let time_s = of(&scenario.sample_time_s);
         let (current_a, speed_rad_s) = (of(&scenario.current_a), of(&scenario.speed_rad_s));
         Self {
             windows: spread_windows(&time_s, &scenario.scales),
-            voltage_v: time_s.iter().map(voltage).collect(),
+            voltage_v: match scenario.input {
+                Input::Voltage => time_s.iter().map(input).collect(),
+                Input::Current | Input::Torque => vec![f64::NAN; time_s.len()],
+            },
+            input: time_s.iter().map(input).collect(),
             current: Sensor::of(&current_a),
             speed: Sensor::of(&speed_rad_s),
             time_s,

@@ -485,3 +485,24 @@ fn a_supply_that_sags_is_no_exchanged_column() {
     let (_, findings) = judged(run, &unknown());
     assert!(findings.is_empty(), "{findings:#?}");
 }
+
+#[test]
+fn a_shaft_that_a_torque_turns_round_within_a_row_is_no_counter() {
+    // Slow rows: the speed goes from end to end between two of them, as the torque in the other direction shows.
+    let times: Vec<f64> = (0..400).map(|row| 0.1 * f64::from(row)).collect();
+    let sign = |row: usize| if (row / 40).is_multiple_of(2) { 1.0 } else { -1.0 };
+    let wave = |row: usize| 0.2 * (row * 7 % 11) as f64;
+    let speeds = (0..400).map(|row| sign(row) * (100.0 + wave(row))).collect();
+    let run_with = |torques: Vec<f64>| {
+        let mut run = Run::new("slow", times.clone()).unwrap();
+        put(&mut run, Channel::Torque, torques);
+        put(&mut run, Channel::Speed, Vec::clone(&speeds));
+        run
+    };
+    let is_overflow = |torques| {
+        let findings = judged(run_with(torques), &unknown()).1;
+        findings.iter().any(|found| found.kind == Kind::Overflow)
+    };
+    assert!(!is_overflow((0..400).map(|row| sign(row) * 0.2).collect()));
+    assert!(is_overflow((0..400).map(|row: usize| 0.2 + 0.1 * (row / 150) as f64).collect()));
+}

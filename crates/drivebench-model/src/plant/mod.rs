@@ -19,6 +19,7 @@ mod motor_range;
 mod restored_speed;
 mod run_scales;
 mod sampled_edges;
+mod sampled_torque;
 mod scenario;
 mod shaft_angle;
 mod simulate;
@@ -38,7 +39,7 @@ pub use model::{ActiveEffect, Held, Model, ModelError, Slot};
 pub use model_file::{FileHistory, FittedValue, ModelFile};
 pub use motor::{Motor, MotorKey};
 pub use motor_range::{LEAST_TIME_CONSTANT, motor_range};
-pub use run_scales::{Measure, RunScales};
+pub use run_scales::{Measure, REVERSAL_SHARE, RunScales};
 pub use scenario::{Input, REFERENCE_SUPPLY_V, Scenario, ScenarioError};
 pub use simulate::{
     Correction, Plant, Reading, Sensors as SensorPath, State, SubStep, Trajectory, Transient,

@@ -55,6 +55,10 @@ impl Measure {
     }
 }
 
+/// Share of the largest speed below which a balance of torques is not used: around a reversal friction is between stiction and
+/// sliding.
+pub const REVERSAL_SHARE: f64 = 0.015;
+
 /// Samples of an interval of the regression for the time of response: the noise of a speed that is the difference of counts is
 /// then small against the change of the speed.
 const INTERVAL_SAMPLES: usize = 8;

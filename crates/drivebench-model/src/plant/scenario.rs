@@ -11,6 +11,7 @@ use super::limited::{LimitReached, applied};
 use super::restored_speed;
 use super::run_scales::RunScales;
 use super::sampled_edges;
+use super::sampled_torque;
 use super::shaft_angle::continuous;
 use super::unconfirmed;
 use super::unknown_input::{self, Rows, UnknownInput};
@@ -171,6 +172,7 @@ impl Scenario {
                 steps_s.extend(restored.iter().flat_map(|own| &own.gaps_s));
                 steps_s.sort_by(f64::total_cmp);
             }
+            Channel::Torque => events = sampled_torque::applied(run, events),
             _ => {}
         }
         let start_s = events.first().map_or(f64::INFINITY, |first| first.0);
