@@ -677,9 +677,9 @@ pub(super) fn coefficient_tangent(
     index: usize,
 ) -> Option<Tangent> {
     if let Some(harmonic) = effect.card().harmonic {
-        let order = effect.parameters().iter().position(|spec| spec.key == "order")?;
+        let order = effect.parameters().iter().position(|spec| spec.key == "order");
         return Some(Tangent::Wave(Wave {
-            order: values[order],
+            order: order.map_or(1.0, |order| values[order]),
             sine: index == 0,
             size: values[index],
             of_current: harmonic == Harmonic::OfCurrent,

@@ -1,6 +1,6 @@
 //! Eccentric load: the first harmonic of the shaft angle.
 
-use super::{Axis, Balance, Card, Enters, ParameterSpec, Place, torque};
+use super::{Axis, Balance, Card, Enters, Harmonic, ParameterSpec, Place, torque};
 
 pub(super) const EFFECT: Card = Card {
     id: "eccentric_load",
@@ -18,6 +18,7 @@ pub(super) const EFFECT: Card = Card {
     remedy: "balance the mass, or feed forward s sin(theta) + c cos(theta); straighten or align \
         what rubs",
     needs_angle: true,
+    harmonic: Some(Harmonic::Fixed),
     curve: Some((Balance::Torque, Axis::Angle)),
     parameters: &[
         ParameterSpec::coefficient("sin_n_m", "N.m", 0.08),

@@ -191,7 +191,7 @@ pub struct Card {
     pub stands_for: &'static [[&'static str; 2]],
     /// The simpler effect to which it degenerates at the end of a range.
     pub limit: Option<Limit>,
-    /// Kind of a harmonic of the shaft angle with an `order`; `None` for any other effect.
+    /// Kind of a harmonic of the shaft angle, the first without an `order`; `None` for any other effect.
     pub harmonic: Option<Harmonic>,
     /// Whether steps of it at many moments add up to the random walk of the load that a Kalman filter follows.
     pub is_disturbance_step: bool,

@@ -192,7 +192,7 @@ fn cards_refer_to_effects_and_parameters_that_are_there() {
             assert!(spec.min < limit.least && limit.least < spec.max);
         }
         let has_order = specs.iter().any(|spec| spec.key == "order");
-        assert_eq!(card.harmonic.is_some(), has_order, "{}", card.id);
+        assert!(card.harmonic.is_some() || !has_order, "{}", card.id);
     }
     for kind in [
         TermKind::Drag,
