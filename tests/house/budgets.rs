@@ -8,11 +8,11 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_700),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 22_040),
+    ("crates/drivebench-diagnose", 22_060),
     ("crates/drivebench-emulator", 13_230),
     ("crates/drivebench-identify", 24_040),
     ("crates/drivebench-link", 18_890),
-    ("crates/drivebench-model", 17_480),
+    ("crates/drivebench-model", 17_560),
     ("crates/drivebench-studies", 10_200),
     ("firmware-protocol", 5_010),
     ("src/commands", 15_060),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 740;
+const MOST_NUMERIC_CONSTANTS: usize = 741;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];

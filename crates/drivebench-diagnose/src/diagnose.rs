@@ -555,7 +555,13 @@ fn verdict(
         && inference.is_nearly_white()
         && unexplained <= HALF_SHARE * explainable
         && floor.is_explained_in_part(base.nrms, best.nrms);
-    if !has_phase_error_only && !at_floor && above(best.nrms) > HALF_SHARE * explainable {
+    // Without a floor the noise of a balance is estimated with the effects: nothing else has a structure where the rest is white.
+    let has_noise_only = bench.fits_at_once()
+        && !is_known
+        && inference.is_nearly_white()
+        && inference.unknown.is_empty();
+    let is_sufficient = has_phase_error_only || has_noise_only || at_floor;
+    if !is_sufficient && above(best.nrms) > HALF_SHARE * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {
         DiagnosisVerdict::Ambiguous
@@ -623,7 +629,10 @@ fn confirmed(
             return Err(nothing_judged(run));
         }
         let share = floor.explained(before, after);
-        let holds = z >= CONFIRMED_SIGMAS && floor.is_explained_in_part(before, after);
+        // Without a floor the share of an error contains the noise of the rows.
+        let is_share_known = !bench.fits_at_once() || is_known;
+        let explains = !is_share_known || floor.is_explained_in_part(before, after);
+        let holds = z >= CONFIRMED_SIGMAS && explains;
         let at_the_floor = floor.is_reached(before / in_motion);
         let explains_it = floor.is_reached(after / in_motion) || !is_known;
         let (confirmed, finding) = match diagnosis.verdict {

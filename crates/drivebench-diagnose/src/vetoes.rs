@@ -4,7 +4,10 @@
 //! a matter of the ladder: the effect has to have a size, to lower the error on data that the fit has not used by more than
 //! chance, and to leave an inertia above zero. A veto halves the distance of a probability to the prior.
 
+use super::diagnose::CONFIRMED_SIGMAS;
+use super::evidence::Evidence;
 use super::joint::answer::Inference;
+use super::joint::free_run::likelier;
 use super::ladder::{AS_GOOD, Bench, SIGNIFICANT_SIGMAS, Standing};
 use super::limits::WhyOpen;
 use super::residual::FEWEST_SAMPLES;
@@ -291,6 +294,9 @@ fn without_use(
             let clear = CLEAR_FALL_RATIOS[usize::from(samples < FEWEST_SAMPLES)];
             let is_little = held_out[0] < clear * held_out[1];
             let by_chance = || {
+                if bench.fits_at_once() && inference.is_nearly_white() {
+                    return !is_likelier(bench, inference, pair);
+                }
                 let scores = [&pair[0].score, &pair[1].score];
                 ByBlocks::of(scores, bench.levels()).better != Better::Second
             };
@@ -299,6 +305,17 @@ fn without_use(
     };
     let mut named = rungs.windows(2).enumerate().rev().map(|(step, pair)| (named[step], pair));
     named.find(|(id, pair)| is_of_no_use(id, pair)).map(|(effect, pair)| not_lower(effect, pair))
+}
+
+/// Whether the hold-out is significantly likelier with the second of two models whose residuals are white. The rows of a balance are
+/// means over long windows, of which a slow record has too few for blocks.
+fn is_likelier(bench: &Bench, inference: &Inference, pair: &[Standing]) -> bool {
+    let Evidence { holdout, noise, .. } = &bench.evidence;
+    let models = [&pair[0].fit.model, &pair[1].fit.model];
+    let starts = [pair[0].fit.start, pair[1].fit.start];
+    let is_known = noise.source != FloorSource::None;
+    let found = likelier(models, starts, holdout, inference.noise, is_known);
+    found.is_some_and(|(z, _)| z >= CONFIRMED_SIGMAS)
 }
 
 /// Whether an error of so many readings falls by more than chance: by the ratio of the likelihoods of normal errors of these

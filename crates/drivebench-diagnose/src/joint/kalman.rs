@@ -589,7 +589,7 @@ fn rates_of_readings(rates: [f64; 2], path: &Path, state: &State, reading: [f64;
 }
 
 /// Cost of a measurement update, in sub-steps of simulation: measured on records at 1 kHz and at 100 Hz.
-const FOLLOWED_COST: u64 = 6;
+pub(super) const FOLLOWED_COST: u64 = 6;
 
 const fn correction(change: [f64; 4], load_n_m: f64, voltage_v: f64) -> Correction {
     Correction { current_a: change[0], speed_rad_s: change[1], load_n_m, voltage_v }

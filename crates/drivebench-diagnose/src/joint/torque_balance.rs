@@ -10,7 +10,7 @@
 //! noise of a tenth of its friction the inertia came out twenty times too large, and lags and ripples were fitted to the difference.
 
 use super::kalman::{
-    Covariance, Dynamics, FilterGains, FilteredRun, Noise, Transition, Update,
+    Covariance, Dynamics, FOLLOWED_COST, FilterGains, FilteredRun, Noise, Transition, Update,
     predicted_covariance, stationary, updated_covariance,
 };
 use super::process_noise::{FORM_SHARE, FormErrors, combined};
@@ -25,8 +25,6 @@ use drivebench_model::signal;
 const LONGEST_INTERVALS: f64 = 5.0;
 /// Largest share of a torque that becomes friction again: beyond, a transmission is nearly self-locking.
 const MOST_SLOPE: f64 = 0.9;
-/// Cost of a row in sub-steps of simulation.
-const ROW_COST: u64 = 6;
 
 /// Motion over the interval that ends at a sample.
 struct Row {
@@ -165,7 +163,8 @@ pub(super) fn filter_balance(
     let dynamics = Dynamics::of(model, scenario)?;
     let rows = rows(scenario, &forms);
     let torques = transmitted(model, &forms, &rows)?;
-    let mut gains = FilterGains { work: ROW_COST * rows.len() as u64, ..FilterGains::default() };
+    let mut gains =
+        FilterGains { work: FOLLOWED_COST * rows.len() as u64, ..FilterGains::default() };
     let mut out = FilteredRun {
         stamp_variance: vec![[0.0; 2]; rows.len()],
         rates: vec![[0.0; 2]; rows.len()],
@@ -237,7 +236,7 @@ pub(super) fn unbalanced_with(
         out.push([0.0, white]);
     }
     let is_finite = out.iter().all(|white| white[1].is_finite());
-    is_finite.then_some(ROW_COST * rows.len() as u64)
+    is_finite.then_some(FOLLOWED_COST * rows.len() as u64)
 }
 
 #[cfg(test)]

@@ -69,7 +69,7 @@ impl<'a> Watched<'a> {
             let part = Activity::of(&other[rows.clone()]);
             part.moves && part.range() > Settings::CHANGES * Activity::of(other).range()
         });
-        if !moved {
+        if !moved || self.is_controlled(rows) {
             return false;
         }
         let value = self.values[rows.start];
@@ -82,6 +82,14 @@ impl<'a> Watched<'a> {
             // The others need not expect another value from the first row on.
             rows.clone().filter(off).count() as f64 > 0.3 * rows.len() as f64
         })
+    }
+
+    /// Whether it is a current that the drive controls, and its command does not step in these rows.
+    fn is_controlled(&self, rows: &Range<usize>) -> bool {
+        let steps_s = &self.table.current_steps_s;
+        let [from_s, to_s] = [rows.start, rows.end - 1].map(|row| self.table.time_s[row]);
+        let steps = steps_s.iter().any(|step_s| (from_s..to_s).contains(step_s));
+        self.key == "current_a" && !steps_s.is_empty() && !steps
     }
 
     /// A measured signal that stands still between jumps while the others move is a command, or in a command's column: no

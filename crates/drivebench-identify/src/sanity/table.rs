@@ -20,6 +20,8 @@ pub(super) struct Table {
     pub(super) voltage_v: Vec<f64>,
     /// What drives the shaft, whatever its unit: voltage, current or torque.
     pub(super) input: Vec<f64>,
+    /// Instants at which a commanded current steps; empty where the drive does not control it.
+    pub(super) current_steps_s: Vec<f64>,
     pub(super) current_a: Vec<f64>,
     pub(super) speed_rad_s: Vec<f64>,
     /// Sensors of current and speed.
@@ -45,6 +47,7 @@ impl Table {
                 Input::Current | Input::Torque => vec![f64::NAN; time_s.len()],
             },
             input: time_s.iter().map(input).collect(),
+            current_steps_s: scenario.current_steps_s.clone(),
             current: Sensor::of(&current_a),
             speed: Sensor::of(&speed_rad_s),
             time_s,

@@ -11,6 +11,7 @@
 
 mod commanded_current;
 pub mod effect;
+mod late_rows;
 mod limited;
 mod model;
 mod model_file;

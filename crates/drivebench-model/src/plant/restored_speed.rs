@@ -20,12 +20,15 @@ struct Settings {
 
 const SETTINGS: Settings = Settings { difference: 0.02, compared: 2 };
 
+/// Intervals between readings, in periods, over which no balance may extend.
+pub(super) const LONGEST_PERIODS: f64 = 1.5;
+
 /// The run with the restored speed.
 pub(super) struct Restored {
     pub(super) run: Run,
     /// Standard deviation of the speed by the resolution of its sensor, which vanishes at rest, rad/s.
     pub(super) rounding_rad_s: f64,
-    /// First and last instants of what was left out, s: no balance may extend over them.
+    /// First and last instants of what was left out or is missing, s: no balance may extend over them.
     pub(super) gaps_s: Vec<f64>,
 }
 
@@ -40,9 +43,18 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
     let speed: Vec<Point> = rows.iter().map(|row| (run.time_s()[*row], column[*row])).collect();
     let period_s = median_step(&speed.iter().map(|point| point.0).collect::<Vec<f64>>());
     let last = speed.len() - 1;
+    let slope = |from: Point, to: Point| (to.1 - from.1) / (to.0 - from.0);
+    // Of the parabola through three readings, at other distances where one between them is missing.
     let value = |at: usize| {
         let (before, after) = (speed[at.saturating_sub(1)], speed[(at + 1).min(last)]);
-        speed[at].1 + lag.filter_s * (after.1 - before.1) / (after.0 - before.0)
+        let [back_s, ahead_s] = [speed[at].0 - before.0, after.0 - speed[at].0];
+        let rate = if back_s > 0.0 && ahead_s > 0.0 {
+            let (behind, next) = (slope(before, speed[at]), slope(speed[at], after));
+            (ahead_s * behind + back_s * next) / (back_s + ahead_s)
+        } else {
+            slope(before, after)
+        };
+        speed[at].1 + lag.filter_s * rate
     };
     let mut inverse: Vec<Point> =
         (0..=last).map(|at| (speed[at].0 - lag.delay_s, value(at))).collect();
@@ -65,6 +77,8 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
             inverse[*first..=*end].iter_mut().for_each(|point| point.1 = f64::NAN);
         }
     }
+    let holes = speed.windows(2).filter(|pair| pair[1].0 - pair[0].0 > LONGEST_PERIODS * period_s);
+    gaps_s.extend(holes.flat_map(|pair| [pair[0].0, pair[1].0]));
     let mut cells = vec![f64::NAN; column.len()];
     for row in rows {
         cells[row] = signal::line_with_ends(&inverse, run.time_s()[row]);

@@ -7,14 +7,13 @@
 //! A held torque comes half a period before the motion that it makes: its share is a half, that of a reading is zero. Least squares
 //! at the rows, with central differences and with the rate of the *fitted* torque, whose noise is not that of the reading.
 
+use super::restored_speed::LONGEST_PERIODS;
 use super::run_scales::REVERSAL_SHARE;
 use crate::numerics::least_squares::fit_normal;
 use crate::numerics::statistics::{largest_but_outliers, median_step};
 use crate::sample::{Channel, Run};
 use crate::signal::{self, Point};
 
-/// Intervals between rows, in usual ones, over which a central difference is a rate.
-const LONGEST_INTERVAL: f64 = 1.5;
 /// Least share of a held torque, halfway between both kinds.
 const LEAST_SHARE: f64 = 0.25;
 /// Least tolerance of a column, of which that of a drag at nearly one speed is 1e-5: only the rate of the torque has to be determined.
@@ -41,7 +40,7 @@ fn held_share(run: &Run, torque: &[Point]) -> Option<f64> {
     let regressors = |row: usize| -> Option<[f64; 4]> {
         let around = row.checked_sub(1)?..row + 2;
         let (w, t) = (speed.get(around.clone())?, &times[around]);
-        let near = t.windows(2).all(|pair| pair[1] - pair[0] <= LONGEST_INTERVAL * period_s);
+        let near = t.windows(2).all(|pair| pair[1] - pair[0] <= LONGEST_PERIODS * period_s);
         let one_way = w.iter().all(|own| own * w[1].signum() > slow_rad_s);
         let rate = (w[2] - w[0]) / (t[2] - t[0]);
         (near && one_way).then(|| [rate, w[1].signum(), w[1], w[1] * w[1].abs()])

@@ -7,6 +7,7 @@ use std::ops::Range;
 use thiserror::Error;
 
 use super::commanded_current;
+use super::late_rows;
 use super::limited::{LimitReached, applied};
 use super::restored_speed;
 use super::run_scales::RunScales;
@@ -147,7 +148,10 @@ impl Scenario {
     pub fn from_run(run: &Run) -> Result<Self, ScenarioError> {
         let (input, channel) =
             input_of(run).ok_or_else(|| ScenarioError::NoInput { run: run.name.clone() })?;
-        let restored = if input == Input::Voltage { None } else { restored_speed::restored(run) };
+        let by_voltage = input == Input::Voltage;
+        let timely = if by_voltage { None } else { late_rows::left_out(run) };
+        let run = timely.as_ref().unwrap_or(run);
+        let restored = if by_voltage { None } else { restored_speed::restored(run) };
         let (run, speed_rounding_rad_s) =
             restored.as_ref().map_or((run, 0.0), |own| (&own.run, own.rounding_rad_s));
         let mut events: Vec<Point> = run.points(channel).collect();
