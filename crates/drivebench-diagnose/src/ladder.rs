@@ -174,9 +174,13 @@ impl Bench {
             }
             order.push(left.remove(best.0));
         }
+        // The posterior of a model that leaves white noise has weighed the names already.
+        let is_weighed = inference.is_nearly_white();
+        let least_sigmas =
+            [BALANCE_SIGNIFICANT_SIGMAS, SIGNIFICANT_SIGMAS][usize::from(is_weighed)];
         while !order.is_empty() {
             let fit = self.fit(&beside(&baseline.model, inference, &order)?)?;
-            let is_significant = |id: &str| fit.is_significant(id, BALANCE_SIGNIFICANT_SIGMAS);
+            let is_significant = |id: &str| fit.is_significant(id, least_sigmas);
             let Some(last) = order.iter().rposition(|id| is_significant(id) != Some(true)) else {
                 break;
             };
