@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 
-use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, Form, model_words, run_path};
 use crate::commands::evidence::Judging;
 use crate::report::Document;
 use crate::report::comparison::change_document;
@@ -40,12 +40,8 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     evidence: EvidenceArguments,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// Refit a model with an effect added and show the held-out error before and after
@@ -192,11 +188,11 @@ fn run(
     // A refused model is not printed.
     let model = result.accepted.then(|| file.to_toml());
     value["model"] = model.clone().into();
-    if let Some(model) = model.filter(|_| arguments.output.is_none() && !arguments.json) {
+    if let Some(model) = model.filter(|_| arguments.output.is_none() && !arguments.form.json) {
         terminal.line(&model)?;
     }
     let document = document(&result, arguments);
-    terminal.document(&value, arguments.json, arguments.full, &document)?;
+    terminal.document(&value, arguments.form.json, arguments.form.full, &document)?;
     if result.accepted {
         return Ok(());
     }

@@ -208,6 +208,17 @@ impl Provenance {
     }
 }
 
+/// How a command prints its result.
+#[derive(Args, Clone, Copy, Debug)]
+pub(super) struct Form {
+    /// Print the whole result; without it at most 100 columns and 30 lines
+    #[arg(long)]
+    pub(super) full: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub(super) json: bool,
+}
+
 /// Fit run, hold-out and confirming run of a command, and the model that they judge.
 #[derive(Args, Clone, Debug)]
 pub(super) struct EvidenceArguments {

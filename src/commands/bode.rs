@@ -1,10 +1,11 @@
 //! `bode`: the frequency response of recorded runs and of a model, as card, table and picture.
 
+use std::fmt::Display;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{MapArguments, by_name, run_path};
+use crate::commands::arguments::{Form, MapArguments, by_name, run_path};
 use crate::commands::by_hand::show_response;
 use crate::commands::evidence::{cautions, name_voltage};
 use crate::commands::view::needs_terminal;
@@ -50,12 +51,8 @@ pub(super) struct Arguments {
     /// Show it on the screen
     #[arg(long, conflicts_with = "json")]
     screen: bool,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 fn pathway(text: &str) -> Result<Pathway, String> {
@@ -84,7 +81,12 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if arguments.screen {
         show_response(found.title(), found.compared.clone(), Some(pathway), terminal)?;
     }
-    terminal.document(&found, arguments.json, arguments.full, &found.document(pathway))?;
+    terminal.document(
+        &found,
+        arguments.form.json,
+        arguments.form.full,
+        &found.document(pathway),
+    )?;
     found.check()
 }
 
@@ -394,7 +396,7 @@ impl Bode {
     fn csv(&self) -> Result<String, Failure> {
         let Compared { measured, model, .. } = &self.compared;
         let mut writer = csv::Writer::from_writer(Vec::new());
-        let failed = |error: csv::Error| Failure::internal(format!("the table: {error}"));
+        let failed = |error: &dyn Display| Failure::internal(format!("the table: {error}"));
         for own in &measured.pathways {
             let predicted = model.as_ref().and_then(|model| model.of(own.pathway));
             let predicted = predicted.map_or(&[][..], |response| response.points.as_slice());
@@ -418,13 +420,11 @@ impl Bode {
                         model_magnitude: other.map(|other| other.magnitude),
                         model_phase_rad: other.map(|other| other.phase_deg.to_radians()),
                     })
-                    .map_err(failed)?;
+                    .map_err(|error| failed(&error))?;
             }
         }
-        let bytes = writer
-            .into_inner()
-            .map_err(|error| Failure::internal(format!("the table: {error}")))?;
-        String::from_utf8(bytes).map_err(|error| Failure::internal(format!("the table: {error}")))
+        let bytes = writer.into_inner().map_err(|error| failed(&error))?;
+        String::from_utf8(bytes).map_err(|error| failed(&error))
     }
 }
 

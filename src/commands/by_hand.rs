@@ -115,13 +115,16 @@ impl ScreenResult {
 pub(crate) struct Closed {
     exit: Exit,
     hang_up: Arc<AtomicBool>,
-    pub(crate) result: ScreenResult,
+    result: ScreenResult,
 }
 
 impl Closed {
-    /// By Ctrl-C, or by a signal until the very end.
-    pub(crate) fn is_interrupted(&self) -> bool {
-        self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire)
+    /// The result, unless the screen was left by Ctrl-C, or by a signal until the very end.
+    pub(crate) fn left(self, interrupted: &str) -> Result<ScreenResult, Failure> {
+        if self.exit == Exit::Interrupted || self.hang_up.load(Ordering::Acquire) {
+            return Err(Failure::interrupted(interrupted));
+        }
+        Ok(self.result)
     }
 }
 
@@ -134,11 +137,8 @@ pub(crate) fn go_on(
 ) -> Result<Option<String>, Failure> {
     let ScreenEnd::Screen(exit) = screen else { return Ok(None) };
     let Some(opens) = Opens::after(*exit) else { return Ok(None) };
-    let closed = show_run(folder, opens, terminal)?;
-    if closed.is_interrupted() {
-        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-    }
-    Ok(closed.result.model().map(str::to_owned))
+    let result = show_run(folder, opens, terminal)?.left("interrupted in the diagnosis by hand")?;
+    Ok(result.model().map(str::to_owned))
 }
 
 /// Diagnoses a run that was just recorded, if requested, and prints the result of the run in any case. A failure of the run

@@ -461,11 +461,7 @@ fn by_hand(
     shown: Shown,
     terminal: &Terminal,
 ) -> Result<ScreenResult, Failure> {
-    let closed = by_hand::show(discovery, shown, terminal)?;
-    if closed.is_interrupted() {
-        return Err(Failure::interrupted("interrupted in the diagnosis by hand"));
-    }
-    Ok(closed.result)
+    by_hand::show(discovery, shown, terminal)?.left("interrupted in the diagnosis by hand")
 }
 
 fn shown(title: &str, fitted_on: &Path) -> Shown {

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, Form, MoreRuns, model_words, run_path};
 use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
 use crate::report::wording::{json, location, versus as words};
@@ -44,12 +44,8 @@ pub(super) struct Arguments {
     /// Show it on the screen: measured and model over time, where the model fails
     #[arg(long, conflicts_with = "json")]
     screen: bool,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
@@ -90,7 +86,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         endable = Some(terminal.endable()?);
     }
     let _endable = endable;
-    let is_whole = arguments.html.is_some() || (arguments.full && !arguments.json);
+    let is_whole = arguments.html.is_some() || (arguments.form.full && !arguments.form.json);
     let mut document = pages::comparison(&prepared, &comparison, is_whole)?;
     if let Some(path) = &arguments.html {
         pages::write(path, &document.html(), terminal)?;
@@ -108,7 +104,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let undecided = comparison.undecided();
     value["undecided"] = undecided.as_ref().map(location::undecided).into();
     value["undecided_code"] = undecided.as_ref().map(Undecided::code).into();
-    terminal.document(&value, arguments.json, arguments.full, &document)?;
+    terminal.document(&value, arguments.form.json, arguments.form.full, &document)?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -129,7 +125,7 @@ fn both(
         (arguments.evidence).prepare(&arguments.run, Some(first), judging, false, terminal)?;
     let result = VersusResult::of(&prepared, second, &arguments.run, terminal)?;
     drop(shown);
-    terminal.document(&result, arguments.json, arguments.full, &result.document())
+    terminal.document(&result, arguments.form.json, arguments.form.full, &result.document())
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {

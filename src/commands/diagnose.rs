@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, Form, MoreRuns, model_words, run_path};
 use crate::commands::by_hand;
 use crate::commands::by_hand::Shown;
 use crate::commands::evidence::Judging;
@@ -60,12 +60,8 @@ pub(super) struct Arguments {
     /// Write the page: ladder, where the model fails, every effect that was tried; never overwritten
     #[arg(long, value_name = "PAGE.html")]
     html: Option<PathBuf>,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// The diagnosis on the screen.
@@ -119,14 +115,12 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let closed = by_hand::show(discovery, shown, terminal)?;
         attended = Some((terminal.endable()?, terminal.progress("diagnose")));
         // Checked only now: from here on a signal ends the program.
-        if closed.is_interrupted() {
-            return Err(Failure::interrupted("interrupted"));
-        }
-        by_hand = closed.result.heading();
-        written = closed.result.model().map(str::to_owned);
-        known_next = closed.result.next;
+        let result = closed.left("interrupted")?;
+        by_hand = result.heading();
+        written = result.model().map(str::to_owned);
+        known_next = result.next;
         let no_answer = || Failure::interrupted("left before the diagnosis was done");
-        closed.result.diagnosis.ok_or_else(no_answer)?
+        result.diagnosis.ok_or_else(no_answer)?
     } else {
         diagnose_with(&original, evidence, &|event| terminal.diagnosis(event))?
     };
@@ -140,7 +134,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(path) = &arguments.next_bench {
         target.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
     }
-    let (json, full) = (arguments.json, arguments.full);
+    let Form { json, full } = arguments.form;
     if json && arguments.html.is_none() {
         let result = prepared.result(&json::diagnosis(&diagnosis));
         return terminal.unfolded(&result, json, |_| String::new());

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use crate::commands::arguments::{MapArguments, run_path};
+use crate::commands::arguments::{Form, MapArguments, model_words, run_path};
 use crate::commands::cards;
 use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
@@ -74,12 +74,8 @@ pub(super) struct Arguments {
     output: Option<PathBuf>,
     #[command(flatten)]
     map: MapArguments,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 /// The schemes as the catalogue has them, then examples.
@@ -141,9 +137,9 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
             }
             let scenario = Scenario::from_run(&loaded.run)?;
             let mut run = loaded.run;
-            before_identify(&mut run, &scenario, &file.model, &[], arguments.json, terminal)?;
+            before_identify(&mut run, &scenario, &file.model, &[], arguments.form.json, terminal)?;
             drop(shown);
-            return trace_load(trace, &run, &file.model, arguments.json, terminal);
+            return trace_load(trace, &run, &file.model, arguments.form.json, terminal);
         }
         runs.push(one(loaded, &file.model, arguments, terminal)?);
         terminal.at(runs.len());
@@ -178,9 +174,9 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let run = output::quoted(&arguments.runs[0]);
     let mut document = cards::identify(&answer, &schemes(&answer));
     let model = arguments.output.as_deref().or(arguments.model.as_deref());
-    let model = model.map_or_else(String::new, |path| format!(" --model {}", output::quoted(path)));
-    document.go_on(format!("drivebench diagnose {run}{model}{}", arguments.map.words()));
-    terminal.document(&json_of(&answer), arguments.json, arguments.full, &document)?;
+    let (model, map) = (model_words(model), arguments.map.words());
+    document.go_on(format!("drivebench diagnose {run}{model}{map}"));
+    terminal.document(&json_of(&answer), arguments.form.json, arguments.form.full, &document)?;
     if let Some(path) = &arguments.output {
         answer.write(path, file, terminal)?;
     }
@@ -201,7 +197,7 @@ fn one(
 ) -> Result<OneRun, Failure> {
     let of_arm = arguments.known_arm.as_ref().map(|_| scheme::KNOWN_ARM);
     let scheme = arguments.scheme.as_deref().or(of_arm);
-    identify(loaded, model, scheme, &arguments.require, arguments.json, terminal)
+    identify(loaded, model, scheme, &arguments.require, arguments.form.json, terminal)
 }
 
 /// The file with the weight of `--known-arm` in its model.
@@ -262,8 +258,7 @@ fn verdict(require: &[String], parameters: &[ParameterEstimate]) -> Result<(), F
         let headline = format!("{key} could not be identified: {reason}");
         return Err(Failure::new(NOT_IDENTIFIABLE, headline));
     }
-    let found = |p: &ParameterEstimate| is_usable(p) && p.verdict != Verdict::Fixed;
-    if !parameters.iter().any(found) {
+    if !parameters.iter().any(is_found) {
         if parameters.iter().any(|p| p.verdict == Verdict::Invalid) {
             let headline = "no parameter can be identified: the values found are invalid";
             return Err(Failure::new(NOT_IDENTIFIABLE, headline));
@@ -327,6 +322,11 @@ impl Answer {
 /// Found or given, and not excluded by physics or by the origin of its signals.
 pub(crate) fn is_usable(parameter: &ParameterEstimate) -> bool {
     parameter.value.is_some() && parameter.verdict != Verdict::Invalid
+}
+
+/// Usable, and not only given.
+pub(crate) fn is_found(parameter: &ParameterEstimate) -> bool {
+    is_usable(parameter) && parameter.verdict != Verdict::Fixed
 }
 
 /// The motor of a nameplate file.
@@ -466,7 +466,7 @@ fn json_of(answer: &Answer) -> Value {
         "rows": of_runs(|run| run.loaded.run.rows()),
         "rows_used": of_runs(|run| run.scenario.samples()),
         "rows_dropped": of_runs(|run| run.loaded.run.rows_dropped),
-        "period_s": first.and_then(period_s),
+        "period_s": first.and_then(|run| period_s(&run.loaded.run)),
         "input": first.map(|run| run.scenario.input_channel.key()),
         "signals": first.map(|run| signals(&run.loaded.run)),
         "shaft": "motor",
@@ -488,7 +488,7 @@ fn json_of(answer: &Answer) -> Value {
         value["runs"] = each.collect();
     }
     if let Some(absolute) = &answer.absolute {
-        value["absolute"] = estimates(absolute);
+        value["absolute"] = estimates(absolute).into();
     }
     if let Some(comparison) = &answer.nameplate {
         value["nameplate"] = json::nameplate(comparison);
@@ -508,14 +508,13 @@ fn schemes(answer: &Answer) -> String {
 }
 
 /// Median sampling period of the measurements, s.
-fn period_s(run: &OneRun) -> Option<f64> {
-    [Channel::Current, Channel::Speed]
-        .into_iter()
-        .find_map(|channel| run.loaded.run.period_s(channel))
+pub(crate) fn period_s(run: &Run) -> Option<f64> {
+    [Channel::Current, Channel::Speed].into_iter().find_map(|channel| run.period_s(channel))
 }
 
-fn estimates(parameters: &[ParameterEstimate]) -> Value {
-    Value::Object(keyed(parameters.iter().map(|p| (p.key.as_str(), p))))
+/// Estimates by their keys.
+pub(crate) fn estimates(parameters: &[ParameterEstimate]) -> Map<String, Value> {
+    keyed(parameters.iter().map(|p| (p.key.as_str(), p)))
 }
 
 fn keyed<'a, T: Serialize + 'a>(

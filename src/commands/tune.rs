@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::commands::arguments::Form;
 use crate::report::{Bars, Document, Tone};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text, speed_command};
@@ -45,12 +46,8 @@ pub(super) struct Arguments {
     /// No notch at the frequency of a coupling: for a regulator that has none; the loop is slowed down instead
     #[arg(long)]
     no_notch: bool,
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    full: bool,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    form: Form,
 }
 
 #[derive(Clone, Copy, clap::ValueEnum)]
@@ -82,7 +79,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         notch: NotchUse::unless(arguments.no_notch),
     };
     let result = TuneResult::of(&file, &timing, &request)?;
-    let (json, full) = (arguments.json, arguments.full);
+    let Form { json, full } = arguments.form;
     terminal.document(&result, json, full, &result.document(&arguments.model))
 }
 

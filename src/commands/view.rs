@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
 use crate::commands::by_hand;
-use crate::commands::by_hand::Closed;
+use crate::commands::by_hand::ScreenResult;
 use crate::commands::evidence::{Judging, Prepared};
 use crate::report::wording::diagnosis as words;
 use crate::runtime::failure::Failure;
@@ -39,7 +39,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let judged = prepared.judge_as_diagnose(model.is_some(), terminal)?;
     // From here on the screen uses the terminal and handles the signals.
     drop(attended);
-    let result = show(&prepared, judged.error_of, terminal)?.result;
+    let result = show(&prepared, judged.error_of, terminal)?;
     result.heading().lines().for_each(|line| terminal.message(line));
     if let Some(diagnosis) = &result.diagnosis {
         terminal.message(&words::diagnosis(diagnosis));
@@ -64,12 +64,8 @@ pub(crate) fn show(
     prepared: &Prepared,
     error_of: ErrorOf,
     terminal: &Terminal,
-) -> Result<Closed, Failure> {
+) -> Result<ScreenResult, Failure> {
     let title = format!("{}; model: {}", prepared.about.title, prepared.model.from);
     let opens = Opens::Comparison(error_of);
-    let closed = by_hand::show_prepared(prepared, title, opens, terminal)?;
-    if closed.is_interrupted() {
-        return Err(Failure::interrupted("interrupted"));
-    }
-    Ok(closed)
+    by_hand::show_prepared(prepared, title, opens, terminal)?.left("interrupted")
 }
