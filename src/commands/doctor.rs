@@ -20,8 +20,8 @@ use crate::runtime::opening::Tap;
 use crate::runtime::output::{Terminal, lines};
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use drivebench_link::{
-    CellTable, Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, RawSettings,
-    ReadRequest, Target, standard_gap_s,
+    CellTable, Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, ReadRequest,
+    Target, standard_gap_s,
 };
 
 /// List serial ports: stable name, adapter, driver, the program that has them open
@@ -80,13 +80,8 @@ pub(super) struct Arguments {
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let wire = &arguments.wire;
     let target = wire.target()?;
-    let (tap, settings) = (wire.tap(terminal)?, wire.settings());
-    let look = Look {
-        units: arguments.scan.then_some(arguments.units),
-        set_latency: arguments.set_latency,
-        address: arguments.address,
-    };
-    let (findings, last_error) = Findings::of(&target, settings, &look, &tap, terminal)?;
+    let tap = wire.tap(terminal)?;
+    let (findings, last_error) = Findings::of(&target, arguments, &tap, terminal)?;
     terminal.result(&findings, arguments.json, Findings::text)?;
     let verdict = findings.verdict();
     match (findings.condition, findings.round_trip, last_error) {
@@ -301,35 +296,27 @@ impl RoundTripFindings {
     }
 }
 
-/// Options of the examination.
-struct Look {
-    /// Units to try at every setting, first and last.
-    units: Option<(u8, u8)>,
-    set_latency: bool,
-    /// Holding register that the round trips read.
-    address: u16,
-}
-
 impl Findings {
     /// Examines the line; with the error of the last request that was not answered.
     fn of(
         target: &Target,
-        mut settings: RawSettings,
-        look: &Look,
+        arguments: &Arguments,
         tap: &Tap,
         terminal: &Terminal,
     ) -> Result<(Self, Option<LinkError>), Failure> {
         let root = Path::new("/");
+        let mut settings = arguments.wire.settings();
         let port = match target {
             Target::Serial { path, .. } => Some(describe(root, Path::new(path))),
             Target::Tcp { .. } => None,
         };
-        let set = look.set_latency;
+        let set = arguments.set_latency;
         let latency = port.as_ref().and_then(|port| latency(root, port, set));
-        let scan = look.units.map(|units| scan(target, &mut settings, units, tap, terminal));
+        let units = arguments.scan.then_some(arguments.units);
+        let scan = units.map(|units| scan(target, &mut settings, units, tap, terminal));
         let scan = scan.transpose()?;
         let mut client = open_line(target, &settings, tap, terminal)?;
-        let mut probed = probe(&mut client, look.address)?;
+        let mut probed = probe(&mut client, arguments.address)?;
         let last_error = probed.last_error.take();
         let names = client.names()?;
         let answers_function_8 = client.sends_back()?;

@@ -44,6 +44,19 @@ pub(super) struct Arguments {
     /// Drive profile: a built-in name or a file; without it every built-in one is tried
     #[arg(long, value_name = "DRIVE")]
     drive: Option<String>,
+    #[command(flatten)]
+    line: LineOptions,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    tap: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Settings of a line; without one that of the profile.
+#[derive(clap::Args, Default)]
+struct LineOptions {
     /// Baud rate; without it that of the profile
     #[arg(long, value_name = "BAUD", value_parser = clap::value_parser!(u32).range(1..))]
     baud: Option<u32>,
@@ -62,44 +75,22 @@ pub(super) struct Arguments {
     /// Silence before a request over a serial line; without it that of the profile, or of the standard
     #[arg(long, value_name = "US", value_parser = clap::value_parser!(u64).range(..=1_000_000))]
     gap_us: Option<u64>,
-    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
-    #[arg(long, value_name = "FILE")]
-    tap: Option<PathBuf>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-}
-
-impl Arguments {
-    fn line(&self, timeout_ms: u64) -> LineOptions {
-        LineOptions {
-            baud: self.baud,
-            framing: self.framing,
-            unit: self.unit,
-            timeout: Duration::from_millis(self.timeout_ms.unwrap_or(timeout_ms)),
-            gap_us: self.gap_us,
-            rtu_over_tcp: self.rtu_over_tcp,
-        }
-    }
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     if let Ok(target) = arguments.port.parse() {
-        check_unit(
-            &target,
-            arguments.unit,
-            arguments.rtu_over_tcp && arguments.port != "emulator",
-        )?;
+        let LineOptions { unit, rtu_over_tcp, .. } = arguments.line;
+        check_unit(&target, unit, rtu_over_tcp && arguments.port != "emulator")?;
     }
     let tap = Tap::create(arguments.tap.as_deref(), terminal)?;
     let Some(drive) = &arguments.drive else {
-        let found = survey(&arguments.port, &arguments.line(300), &tap, terminal)?;
+        let found = survey(&arguments.port, &arguments.line, &tap, terminal)?;
         terminal.result(&found, arguments.json, survey_text)?;
         return found.verdict();
     };
     let (profile, _) = opening::profile(drive)?;
     let end = far_end(&arguments.port, &profile, terminal)?;
-    let report = look(&end, &profile, &arguments.line(1000), &tap)?;
+    let report = look(&end, &profile, &arguments.line, &tap)?;
     terminal.result(&json::probe(&report), arguments.json, |_| report_text(&report))?;
     verdict(&report)
 }
@@ -246,25 +237,17 @@ fn survey_text(survey: &Survey) -> String {
 /// Between two openings of a port: what is under way at the old baud rate must be over, and our software drive needs a
 /// moment for a fresh pseudo-terminal.
 const SETTLING: Duration = Duration::from_millis(100);
-/// Settings of a line; `None`: that of the profile.
-struct LineOptions {
-    baud: Option<u32>,
-    framing: Option<Framing>,
-    unit: Option<u8>,
-    timeout: Duration,
-    gap_us: Option<u64>,
-    rtu_over_tcp: bool,
-}
 
 impl LineOptions {
-    fn settings(&self, profile: &DriveProfile) -> RawSettings {
+    /// For one profile, or for `all` that are tried.
+    fn settings(&self, profile: &DriveProfile, all: bool) -> RawSettings {
         let link = &profile.link;
         let profiled_gap = link.gap_us.map(|us| Duration::from_secs_f64(us * 1e-6));
         RawSettings {
             baud: self.baud.unwrap_or(link.baud),
             framing: self.framing.unwrap_or(link.framing),
             unit: self.unit.unwrap_or(link.unit),
-            timeout: self.timeout,
+            timeout: Duration::from_millis(self.timeout_ms.unwrap_or(if all { 300 } else { 1000 })),
             gap: self.gap_us.map(Duration::from_micros).or(profiled_gap),
             rtu_over_tcp: self.rtu_over_tcp || link.protocol == drive::Protocol::ModbusRtuOverTcp,
         }
@@ -309,23 +292,21 @@ fn look(
     line: &LineOptions,
     tap: &Tap,
 ) -> Result<ProbeReport, Failure> {
-    let settings = line.settings(profile);
+    let settings = line.settings(profile, false);
+    let own = profile;
+    let mut profile = own.clone();
+    (profile.link.baud, profile.link.framing) = (settings.baud, settings.framing);
+    let epoch = MonotonicClock::start().origin();
     if profile.link.protocol == drive::Protocol::Stream {
-        let mut profile = profile.clone();
-        (profile.link.baud, profile.link.framing) = (settings.baud, settings.framing);
-        let epoch = MonotonicClock::start().origin();
         let mut link = open_stream(&far_end.target, &profile, epoch, tap.file())?;
         return Ok(probe_stream(&mut link, &profile)?);
     }
     if let (false, Some(map)) = (profile.link.protocol.is_modbus(), &profile.registers) {
-        let mut profile = profile.clone();
-        (profile.link.baud, profile.link.framing) = (settings.baud, settings.framing);
-        let epoch = MonotonicClock::start().origin();
         let mut bus = open_cells(&far_end.target, &profile, map, epoch, tap.file())?;
         return Ok(probe_cells(&mut bus, &profile)?);
     }
     let mut client = RawClient::open(&far_end.target, &settings, tap.file())?;
-    Ok(probe(&mut client, profile, ProbeDepth::Whole)?)
+    Ok(probe(&mut client, own, ProbeDepth::Whole)?)
 }
 
 /// Limits and watchdog as the drive reports them; nothing is written to it.
@@ -338,15 +319,7 @@ pub(crate) fn read_limits(
     if Port::parse(port).is_some_and(|port| port.is_virtual()) {
         return Ok(limits_in_memory(profile));
     }
-    let line = LineOptions {
-        baud: None,
-        framing: None,
-        unit: None,
-        timeout: Duration::from_secs(1),
-        gap_us: None,
-        rtu_over_tcp: false,
-    };
-    let no_tap = Tap::create(None, terminal)?;
+    let (line, no_tap) = (LineOptions::default(), Tap::create(None, terminal)?);
     let probed =
         far_end(port, profile, terminal).and_then(|end| look(&end, profile, &line, &no_tap));
     let report = probed.map_err(|failure| {
@@ -578,7 +551,7 @@ fn survey(
             survey.push(profile, Fit::NotTried, reason.to_owned());
             continue;
         }
-        let settings = options.settings(profile);
+        let settings = options.settings(profile, true);
         match lines.iter_mut().find(|(line, _)| *line == settings) {
             Some((_, of_line)) => of_line.push(profile),
             None => lines.push((settings, vec![profile])),

@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::commands::arguments::MapArguments;
-use crate::commands::pages;
+use crate::commands::{identify, pages};
 use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{estimates, read_text};
@@ -138,10 +138,6 @@ fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failur
     let run = &loaded.run;
     let times = run.time_s();
     let ends = times.first().zip(times.last());
-    let parameters = kept.iter().map(|estimate| {
-        let value = serde_json::to_value(estimate).unwrap_or_default();
-        (estimate.key.clone(), value)
-    });
     Ok(Reported {
         run: Some(run.name.clone()),
         rows: Some(run.rows()),
@@ -150,7 +146,7 @@ fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failur
         outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
         stop: loaded.manifest.as_ref().and_then(pages::stop),
         trip: loaded.manifest.as_ref().and_then(|m| serde_json::from_value(m.trip.clone()).ok()),
-        parameters: parameters.collect(),
+        parameters: identify::estimates(&kept),
         page: path,
         pictures: pictures
             .map_or(Ok(Vec::new()), |folder| write_pictures(&html, folder, terminal))?,

@@ -7,7 +7,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::commands::arguments::{LiveArguments, UnknownMotor};
-use crate::commands::{by_hand, cards, pages};
+use crate::commands::{by_hand, cards, identify, pages};
 use crate::report::wording::{json, nameplate as words};
 use crate::report::{Document, tables};
 use crate::runtime::controls::Controls;
@@ -140,19 +140,12 @@ pub(crate) fn run(
     if let Some(terminal) = &printed {
         print_checks(&report, terminal);
     }
+    let print = |line: &str| printed.iter().for_each(|terminal| terminal.message(line));
     let mut escalation = None;
     if rig.escalates && rig.bench.currents.is_some() {
-        find_by_currents(&mut rig, controls, |line| {
-            if let Some(terminal) = &printed {
-                terminal.message(line);
-            }
-        })?;
+        find_by_currents(&mut rig, controls, print)?;
     } else if rig.escalates {
-        let result = escalate(&mut rig, controls, |line| {
-            if let Some(terminal) = &printed {
-                terminal.message(line);
-            }
-        })?;
+        let result = escalate(&mut rig, controls, print)?;
         if result.ending.is_some() {
             return Ok(RunDone::NotFound(Box::new(result)));
         }
@@ -227,19 +220,13 @@ impl Connection {
         let line = |name: &str, text: &str| format!("{name:<18} {text}");
         let mut lines = vec![line("link", &self.link), line("profile", &self.profile)];
         lines.extend(self.checks.items.iter().map(|item| line(item.name, &item.text)));
-        lines.push(match &self.plan {
-            None => line(
-                "sequence",
-                "the motor is not known: `drivebench run` finds it from small steps first",
-            ),
-            Some(plan) => line(
-                "sequence",
-                &format!(
-                    "`drivebench run` would take {:.1} s and is within every limit",
-                    plan.duration_s
-                ),
-            ),
-        });
+        let sequence = self.plan.as_ref().map_or_else(
+            || "the motor is not known: `drivebench run` finds it from small steps first".into(),
+            |Plan { duration_s, .. }| {
+                format!("`drivebench run` would take {duration_s:.1} s and is within every limit")
+            },
+        );
+        lines.push(line("sequence", &sequence));
         lines.push("ready: the drive is stopped, and nothing has moved".to_owned());
         lines.join("\n")
     }
@@ -309,16 +296,13 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> Model
 
 fn run_result(whole: &CompletedRun) -> RunResult<'_> {
     let recorded = &whole.recorded;
-    let estimates = recorded.summary.estimates.iter();
     RunResult {
         folder: recorded.folder.path().display().to_string(),
         plan: &whole.plan,
         summary: &recorded.summary,
         escalation: whole.escalation.as_ref(),
         nameplate: whole.nameplate.clone(),
-        parameters: estimates
-            .map(|e| (e.key.clone(), serde_json::to_value(e).unwrap_or_default()))
-            .collect(),
+        parameters: identify::estimates(&recorded.summary.estimates),
     }
 }
 

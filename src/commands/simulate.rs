@@ -47,14 +47,9 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let noise = NoiseFloor::from_standstill(&scenario)
         .unwrap_or_else(|| NoiseFloor::from_spread(&scenario));
     let trajectory = output_error::predict(&model, &scenario, &noise)?.trajectory;
-    let input_at = |time_s: f64| {
-        let events = &scenario.events;
-        let after = events.partition_point(|event| event.0 <= time_s);
-        events[after.max(1) - 1].1
-    };
     let internal = |error: RunError| Failure::internal(error.to_string());
     let mut run = Run::new("simulated", scenario.sample_time_s.clone()).map_err(internal)?;
-    let input = scenario.sample_time_s.iter().map(|time_s| input_at(*time_s));
+    let input = scenario.sample_time_s.iter().map(|time_s| scenario.input_at(*time_s));
     let mut columns = vec![
         (scenario.input_channel, input.collect(), Origin::Commanded),
         (Channel::Speed, trajectory.speed_rad_s, Origin::Estimated),

@@ -21,7 +21,7 @@ use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use row::{Cell, Columns, Status};
 use serde::Serialize;
 use serde_json::{Map, Value};
-use table::{Table, line_of};
+use table::{Table, header_of, line_of};
 
 use crate::commands::arguments::{MapArguments, shard};
 use crate::runtime::failure::{Failure, REFUSED, USAGE};
@@ -188,8 +188,7 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     drop(named);
     let sink = Sink { table: table.transpose()?, columns: all, is_json: arguments.json, terminal };
     if sink.table.is_none() && !sink.is_json {
-        let names: Vec<&str> = sink.columns.iter().map(|(name, _)| name.as_str()).collect();
-        terminal.line(line_of(&names).trim_end())?;
+        terminal.line(header_of(&sink.columns).trim_end())?;
     }
     let cores = || std::thread::available_parallelism().map_or(1, NonZeroUsize::get);
     let jobs = arguments.jobs.map_or_else(cores, NonZeroUsize::get);

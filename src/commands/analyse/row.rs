@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use super::Analysis;
 use crate::commands::evidence::{BASELINE, EvidenceFiles, Judging, prepare};
-use crate::commands::identify::{OneRun, identify, is_usable};
+use crate::commands::identify::{OneRun, identify, is_found, period_s};
 use crate::runtime::failure::{Failure, INTERNAL};
 use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{
@@ -21,7 +21,7 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::temperature;
 use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench_model::plant::{Input, Model, MotorKey, Slot};
-use drivebench_model::sample::{Channel, ParameterEstimate, Verdict};
+use drivebench_model::sample::ParameterEstimate;
 
 /// A cell of the table.
 #[derive(Clone, Debug, PartialEq)]
@@ -300,10 +300,6 @@ fn judged(ended: Result<(), Failure>, found: &Found) -> (Status, String) {
     }
 }
 
-fn is_found(parameter: &ParameterEstimate) -> bool {
-    is_usable(parameter) && parameter.verdict != Verdict::Fixed
-}
-
 fn analyse(
     run: &Path,
     request: &Analysis<'_>,
@@ -350,9 +346,6 @@ impl About {
     fn of(loaded: &LoadedRun) -> Self {
         let run = &loaded.run;
         let manifest = loaded.manifest.clone().unwrap_or_default();
-        let period = [Channel::Current, Channel::Speed]
-            .into_iter()
-            .find_map(|channel| run.period_s(channel));
         let (times, rows) = (run.time_s(), run.rows());
         Self {
             machine: manifest.machine(),
@@ -360,7 +353,7 @@ impl About {
             rows_dropped: run.rows_dropped,
             rows_limited: run.limited_rows().len(),
             duration_s: times.first().zip(times.last()).map(|(begin, end)| end - begin),
-            period_s: period,
+            period_s: period_s(run),
             notes: loaded.warnings.clone(),
             manifest,
         }

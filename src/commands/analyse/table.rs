@@ -74,8 +74,7 @@ impl Table {
                 "write the table as CSV, which can: DuckDB, Polars and pandas read it as well";
             return Err(Failure::usage(headline, help));
         }
-        let names: Vec<&str> = columns.iter().map(|(name, _)| name.as_str()).collect();
-        let header = line_of(&names);
+        let header = header_of(&columns);
         if resume {
             refuse_other(path, &header, false)?;
             refuse_other(&part, &header, true)?;
@@ -185,8 +184,7 @@ impl Table {
 
     fn assemble(&mut self, new: &Path, runs: &[PathBuf]) -> std::io::Result<()> {
         let mut out = BufWriter::new(File::create(new)?);
-        let names: Vec<&str> = self.columns.iter().map(|(name, _)| name.as_str()).collect();
-        out.write_all(line_of(&names).as_bytes())?;
+        out.write_all(header_of(&self.columns).as_bytes())?;
         let mut line = Vec::new();
         for run in runs {
             let place = self.rows.get(&row::name(run));
@@ -219,6 +217,10 @@ fn with_suffix(path: &Path, ending: &str) -> PathBuf {
     name.push(".");
     name.push(ending);
     name.into()
+}
+
+pub(super) fn header_of(columns: &[(String, ColumnKind)]) -> String {
+    line_of(&columns.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>())
 }
 
 /// One line of a CSV.

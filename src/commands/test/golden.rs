@@ -84,19 +84,16 @@ fn file_of(out: &Path, kind: &str) -> PathBuf {
 
 fn read(folder: &Path) -> Result<(Manifest, GoldenRun), Failure> {
     let folder = resolved(folder);
+    let wrong = |path: &Path, error: serde_json::Error, help| {
+        Failure::usage(format!("{}: {error}", path.display()), help)
+    };
     let parsed = |name: &str| -> Result<serde_json::Value, Failure> {
         let path = folder.join(name);
-        serde_json::from_str(&read_text(&path)?).map_err(|error| {
-            Failure::usage(
-                format!("{}: {error}", path.display()),
-                "give the folder of a run that ended",
-            )
-        })
+        let help = "give the folder of a run that ended";
+        serde_json::from_str(&read_text(&path)?).map_err(|error| wrong(&path, error, help))
     };
-    let wrong = |error: serde_json::Error| {
-        Failure::usage(format!("{}: {error}", folder.display()), "give the folder of a run")
-    };
-    let manifest: Manifest = serde_json::from_value(parsed("manifest.json")?).map_err(wrong)?;
+    let manifest: Manifest = serde_json::from_value(parsed("manifest.json")?)
+        .map_err(|error| wrong(&folder, error, "give the folder of a run"))?;
     // A run that was cut short has none, and is refused for that.
     let result = if manifest.finished { parsed("result.json")? } else { serde_json::Value::Null };
     let run = GoldenRun {

@@ -284,11 +284,15 @@ fn carry_out(
                 stop: &stop,
                 baseline: baseline.as_ref(),
             };
-            let outcome = carry_out_job(&bench, job, &folder.join(format!("{:04}", index + 1)));
+            let own = folder.join(format!("{:04}", index + 1));
+            let outcome = match unfit(job, &bench) {
+                Some(reason) => CaseOutcome::skipped(job.case, job.seed, reason),
+                None => case::carry_out(&bench, job.case, job.seed, &own),
+            };
             terminal.message(&line(&outcome, job.case.repeat));
             if outcome.verdict == Verdict::Passed && !arguments.keep {
                 // A folder that cannot be removed does no harm.
-                let _ = fs::remove_dir_all(folder.join(format!("{:04}", index + 1)));
+                let _ = fs::remove_dir_all(own);
             }
             lock(&done)[index] = Some(outcome);
         });
@@ -309,18 +313,11 @@ fn carry_out(
     Ok(outcome)
 }
 
-fn carry_out_job(bench: &Bench<'_>, job: &Job<'_>, folder: &Path) -> CaseOutcome {
-    if bench.stop.load(Ordering::Acquire) {
-        return CaseOutcome::skipped(job.case, job.seed, "interrupted");
-    }
-    if let Some(reason) = unfit(job, bench) {
-        return CaseOutcome::skipped(job.case, job.seed, reason);
-    }
-    case::carry_out(bench, job.case, job.seed, folder)
-}
-
-/// Why a case cannot be done on this bench.
+/// Why a case is not done on this bench.
 fn unfit(job: &Job<'_>, bench: &Bench<'_>) -> Option<String> {
+    if bench.stop.load(Ordering::Acquire) {
+        return Some("interrupted".to_owned());
+    }
     let case = job.case;
     let has_fault = case.steps.iter().any(|step| matches!(step.action, Action::Fault(_)));
     let wants_emulator = case.needs.contains(&Need::Emulator)
