@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::document::{Block, Content, Document};
-use super::table::{Table, padded};
+use super::table::Table;
 use drivebench_model::text::columns;
 
 impl Document {
@@ -53,13 +53,10 @@ fn markdown(block: &Block) -> String {
 }
 
 fn table_text(table: &Table) -> String {
-    let plain = |text: &str| text.replace('|', "/").replace('\n', " ");
-    let head = table.head.iter().map(|head| (*head).to_owned()).collect();
-    let rows = table
-        .rows
-        .iter()
-        .map(|row| padded(row, table.head.len()).map(|cell| plain(&cell.text)).collect());
-    let mut rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
+    let mut rows = table.texts();
+    for text in rows.iter_mut().flatten() {
+        *text = text.replace('|', "/").replace('\n', " ");
+    }
     let widths = columns::widths(&rows, 3);
     rows.insert(1, widths.iter().map(|width| "-".repeat(*width)).collect());
     let line = |row: &Vec<String>| {

@@ -1,7 +1,5 @@
 //! Tables: rows under a head, built column by column, and their forms for a terminal and as comma-separated values.
 
-use std::fmt::Write;
-
 use drivebench_model::text::lines::{cut, wrapped};
 use drivebench_model::text::{columns, number};
 
@@ -51,17 +49,19 @@ impl Table {
         Columns { rows, table }
     }
 
+    /// Head and rows without notes.
+    pub(super) fn texts(&self) -> Vec<Vec<String>> {
+        let head = self.head.iter().map(|head| (*head).to_owned()).collect();
+        let text = |row: &Vec<Cell>| padded(row, self.head.len()).map(|cell| cell.text).collect();
+        std::iter::once(head).chain(self.rows.iter().map(text)).collect()
+    }
+
     /// Head and rows for a terminal of this width, numbers to the right. Where there is no room for all of it, first the
     /// columns with these heads are left out, one after the other, then cells are cut.
     pub fn fitted(&self, width: usize, spare: &[&str]) -> Vec<String> {
         const GAP: &str = "  ";
         let mut columns: Vec<usize> = (0..self.head.len()).collect();
-        let head = self.head.iter().map(|head| (*head).to_owned()).collect();
-        let rows = self
-            .rows
-            .iter()
-            .map(|row| padded(row, self.head.len()).map(|cell| cell.text).collect());
-        let rows: Vec<Vec<String>> = std::iter::once(head).chain(rows).collect();
+        let rows = self.texts();
         let widths = columns::widths(&rows, 1);
         let total = |columns: &[usize], widths: &[usize]| {
             let cells: usize = columns.iter().map(|column| widths[*column]).sum();
@@ -110,22 +110,15 @@ impl Table {
     }
 
     pub fn csv(&self) -> String {
-        let quoted = |text: &str| {
+        let quoted = |text: &String| {
             if text.contains([',', '"', '\n']) {
                 format!("\"{}\"", text.replace('"', "\"\""))
             } else {
-                text.to_owned()
+                text.clone()
             }
         };
-        let head = self.head.iter().map(|cell| quoted(cell)).collect();
-        let rows = self.rows.iter().map(|row| {
-            padded(row, self.head.len()).map(|cell| quoted(&cell.text)).collect::<Vec<_>>()
-        });
-        let mut out = String::new();
-        for line in std::iter::once(head).chain(rows) {
-            let _ = writeln!(out, "{}", line.join(","));
-        }
-        out
+        let line = |row: &Vec<String>| row.iter().map(quoted).collect::<Vec<_>>().join(",") + "\n";
+        self.texts().iter().map(line).collect()
     }
 }
 
