@@ -366,7 +366,7 @@ mod tests {
 
     #[test]
     fn values_beyond_the_limits_are_refused() {
-        let limits = Limits::for_motor(&Nameplate::zk_22fc(), 100.0);
+        let limits = Limits::zk_22fc();
         assert_eq!(section().refused(&limits), None);
         let refused = |section: CurrentsSection| section.refused(&limits).unwrap().0;
         assert_eq!(refused(CurrentsSection { levels_a: vec![], ..section() }), "currents.levels_a");

@@ -604,10 +604,6 @@ mod tests {
     use crate::testing::{Wave, has, near, within};
     use drivebench_model::sample::Demand;
 
-    fn limits() -> Limits {
-        Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
-    }
-
     fn planned(duration_s: f64, limits: &Limits, demand: impl Fn(f64) -> Demand + Send) -> Plan {
         plan(&Wave { duration_s, demand }, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
     }
@@ -619,7 +615,7 @@ mod tests {
     #[test]
     fn a_full_voltage_step_is_refused() {
         // Voltage over resistance, less the drop of the inductance: 75 A, 13 times rated; 30 V still 21 A.
-        let limits = Limits { slew_v_per_s: 1e6, ..limits() };
+        let limits = Limits { slew_v_per_s: 1e6, ..Limits::zk_22fc() };
         let plan = step(110.0, &limits);
         within(plan.peak_current_a, 70.0..80.0);
         near(plan.peak_current_ratio, 13.0, 0.5);
@@ -631,7 +627,7 @@ mod tests {
 
     #[test]
     fn the_slew_limit_is_part_of_the_prediction() {
-        let slow = |time_s| Limits { slew_v_per_s: 300.0, time_s, ..limits() };
+        let slow = |time_s| Limits { slew_v_per_s: 300.0, time_s, ..Limits::zk_22fc() };
         let plan = step(100.0, &slow(60.0));
         assert!(!plan.is_refused(), "{:?}", plan.refusals);
         // s R J/Ke^2 / R + Mc/Ke = 10.8 + 1.3 A
@@ -677,7 +673,7 @@ mod tests {
 
     #[test]
     fn a_coasting_motor_draws_no_current() {
-        let plan = planned(2.0, &limits(), |time_s| {
+        let plan = planned(2.0, &Limits::zk_22fc(), |time_s| {
             if time_s < 1.0 { Demand::Voltage(50.0) } else { Demand::Disable }
         });
         assert!(plan.segments[1].peak_current_a < 1e-9);

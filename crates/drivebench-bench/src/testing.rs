@@ -13,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::RngCore;
 
 use super::bench_file::BenchFile;
+use super::check::{CheckOptions, FirstMove, Waivers};
 use super::clock::Clock;
 use super::describe::layout;
 use super::guard::Guard;
@@ -29,8 +30,8 @@ use drivebench_control::Actuator;
 use drivebench_emulator::truth::MotorTruth;
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive, VirtualClock};
 use drivebench_link::{
-    CommandTimes, DriveLink, Identity, LinkError, LinkName, LinkStatistics, Requested,
-    exception_name,
+    CommandTimes, DriveLink, DriveProfile, Identity, LinkError, LinkName, LinkStatistics,
+    Requested, exception_name,
 };
 use drivebench_model::plant::Model;
 use drivebench_model::sample::{Applied, Channel, Command, Demand, DriveState, Sample};
@@ -54,10 +55,44 @@ pub(super) fn within(value: f64, range: impl RangeBounds<f64> + Debug) {
     assert!(range.contains(&value), "{value} is not in {range:?}");
 }
 
+/// The cases of a table, one in each line, and their cells.
+pub(super) fn cases<const N: usize>(table: &str) -> impl Iterator<Item = [&str; N]> {
+    table.lines().skip(1).map(|line| {
+        let cells: Vec<&str> = line.split('|').map(|cell| cell.trim_matches(' ')).collect();
+        cells.try_into().unwrap_or_else(|_| panic!("{line}"))
+    })
+}
+
 impl Nameplate {
     /// The paper's motor.
     pub(super) fn zk_22fc() -> Self {
         BenchFile::embedded_default().nameplate().unwrap()
+    }
+}
+
+impl Limits {
+    /// Those of the paper's motor at 100 Hz.
+    pub(super) fn zk_22fc() -> Self {
+        Self::for_motor(&Nameplate::zk_22fc(), 100.0)
+    }
+}
+
+impl<'a> CheckOptions<'a> {
+    /// Of a real drive, with the first move.
+    pub(super) fn first_move(
+        rate_hz: f64,
+        nameplate: &'a Nameplate,
+        profile: &'a DriveProfile,
+    ) -> Self {
+        Self {
+            rate_hz,
+            hardware_allowed: true,
+            hardware_confirmed: true,
+            waivers: Waivers::default(),
+            first_move: Some(FirstMove { nameplate, profile, is_withheld: false }),
+            stopped: &|| false,
+            reset_fault: false,
+        }
     }
 }
 

@@ -470,14 +470,14 @@ pub(super) fn plausibility(
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::limits::Limits;
     use crate::testing::has;
     use drivebench_model::sample::{Channel, Demand, Sample};
 
-    fn known(nameplate: &Nameplate, zero: Demand) -> Known<'_> {
-        let limits = Limits::for_motor(&Nameplate::zk_22fc(), 100.0);
+    pub(in crate::check) fn known(nameplate: &Nameplate, zero: Demand) -> Known<'_> {
+        let limits = Limits::zk_22fc();
         Known {
             nameplate,
             size: Size::of(nameplate, &limits, zero, 0.15, 0.01),

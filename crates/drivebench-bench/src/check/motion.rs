@@ -29,9 +29,10 @@ pub(super) fn one_sided(known: &Known<'_>, legs: &[Leg]) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::pulse::{Point, Size};
+    use super::super::judge::tests::known;
+    use super::super::pulse::Point;
     use super::*;
-    use crate::limits::{Limits, Nameplate};
+    use crate::limits::Nameplate;
     use drivebench_model::sample::Demand;
 
     fn legs(back_factor: f64) -> Vec<Leg> {
@@ -54,21 +55,11 @@ mod tests {
     #[test]
     fn a_direction_that_takes_more_current_is_remarked() {
         let nameplate = Nameplate::zk_22fc();
-        let limits = Limits::for_motor(&nameplate, 100.0);
-        let known = |zero: Demand| Known {
-            nameplate: &nameplate,
-            size: Size::of(&nameplate, &limits, zero, 0.15, 0.01),
-            current: (0.0, 0.03),
-            speed: (0.0, 0.15),
-            noise_v: 0.0,
-            signed_current: true,
-            set_point: None,
-        };
-        let by_current = known(Demand::Current(0.0));
+        let by_current = known(&nameplate, Demand::Current(0.0));
         assert_eq!(one_sided(&by_current, &legs(1.2)), None);
         let text = one_sided(&by_current, &legs(2.0)).unwrap();
         assert!(text.contains("backward takes 2.0 times"), "{text}");
         assert_eq!(one_sided(&by_current, &legs(1.0)[..1]), None);
-        assert_eq!(one_sided(&known(Demand::Voltage(0.0)), &legs(2.0)), None);
+        assert_eq!(one_sided(&known(&nameplate, Demand::Voltage(0.0)), &legs(2.0)), None);
     }
 }

@@ -218,8 +218,7 @@ mod tests {
     use crate::testing::near;
 
     fn size(zero: Demand) -> Size {
-        let nameplate = Nameplate::zk_22fc();
-        Size::of(&nameplate, &Limits::for_motor(&nameplate, 100.0), zero, 0.15, 0.01)
+        Size::of(&Nameplate::zk_22fc(), &Limits::zk_22fc(), zero, 0.15, 0.01)
     }
 
     fn voltage_size() -> Size {

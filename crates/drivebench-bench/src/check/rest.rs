@@ -400,12 +400,7 @@ impl Checker<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::limits::Nameplate;
     use crate::testing::has;
-
-    fn limits() -> Limits {
-        Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
-    }
 
     fn sample(speed_rad_s: f64, current_a: f64, voltage_v: f64) -> Sample {
         Sample::at(0.0)
@@ -420,11 +415,11 @@ mod tests {
         // Of a drive that was stopped while it turned at 105 rad/s.
         let braking =
             [floor(Channel::Speed, 2.1551, 11.3723), floor(Channel::Current, -0.4720, 2.0936)];
-        has(means_beyond_rest(&braking, &limits()).unwrap(), "spread 11.37");
+        has(means_beyond_rest(&braking, &Limits::zk_22fc()).unwrap(), "spread 11.37");
         let quiet = [floor(Channel::Speed, 0.02, 0.15), floor(Channel::Current, 0.1, 0.03)];
-        assert_eq!(means_beyond_rest(&quiet, &limits()), None);
-        assert!(beyond_rest(&sample(30.0, 0.0, 0.0), &limits(), false).is_some());
-        assert_eq!(beyond_rest(&sample(0.5, 0.2, 0.5), &limits(), true), None);
+        assert_eq!(means_beyond_rest(&quiet, &Limits::zk_22fc()), None);
+        assert!(beyond_rest(&sample(30.0, 0.0, 0.0), &Limits::zk_22fc(), false).is_some());
+        assert_eq!(beyond_rest(&sample(0.5, 0.2, 0.5), &Limits::zk_22fc(), true), None);
     }
 
     #[test]
@@ -441,13 +436,13 @@ mod tests {
             (speed, free, sample(0.0, 3.0, 30.0), None),
             (speed, free, sample(10.2, 3.0, 30.0), Some("speed 10.2")),
         ] {
-            let moved = Still::of(&[], &limits(), kind, hold).moved(&sample);
+            let moved = Still::of(&[], &Limits::zk_22fc(), kind, hold).moved(&sample);
             match words {
                 Some(words) => has(moved.unwrap_or_default(), words),
                 None => assert_eq!(moved, None),
             }
         }
-        let mut still = Still::of(&[], &limits(), voltage, free);
+        let mut still = Still::of(&[], &Limits::zk_22fc(), voltage, free);
         let at = |angle| sample(0.0, 0.0, 0.0).with(Channel::Angle, angle);
         assert_eq!(still.moved(&at(7.0)), None);
         has(still.moved(&at(12.0)).unwrap(), "by 5.0");

@@ -68,16 +68,8 @@ fn checked(
     // Below the drive's watchdog.
     let link_silence_s = (4.0 / rate_hz).max(0.4);
     let limits = Limits { link_silence_s, ..Limits::for_motor(nameplate, rate_hz) };
-    let options = CheckOptions {
-        rate_hz,
-        hardware_allowed: true,
-        hardware_confirmed: true,
-        waivers,
-        first_move: Some(FirstMove { nameplate, profile, is_withheld: false }),
-        stopped: &|| false,
-        reset_fault: false,
-    };
-    check(link, clock, &limits, options)
+    let first_move = CheckOptions::first_move(rate_hz, nameplate, profile);
+    check(link, clock, &limits, CheckOptions { waivers, ..first_move })
 }
 
 /// The refusals among so many seeds.

@@ -1,6 +1,6 @@
 use super::*;
 use crate::recording::{ColumnMap, ReadOptions, read_preview};
-use crate::testing::has;
+use crate::testing::{cases, has};
 use drivebench_model::plant::{Input, Plant, State, testing};
 use drivebench_model::units::rpm_from_rad_s;
 use proptest::prelude::*;
@@ -132,51 +132,30 @@ fn programs_that_leave_the_unit_to_their_user_are_doubted() {
     has(format!("{found:?}"), "SpeedUnit { unit: \"turns/s\"");
 }
 
+/// Header, source with a hole, name and value of its number, and the source that it gives.
+const HOLES: &str = "
+t_s,u_V,i_A,erpm | speed_rad_s=erpm*{0.104719755/POLE_PAIRS} | POLE_PAIRS | 7 | speed_rad_s=erpm*0.014959965
+t_s,duty,i_A,w_rad_s | voltage_v=duty*{SUPPLY_V} | SUPPLY_V | 24 | voltage_v=duty*24
+t_s,u_V,i_A,speed (counts/s) | speed_rad_s=speed (counts/s)*{6.283185307/COUNTS_PER_TURN} | COUNTS_PER_TURN | 628.3185307 | speed_rad_s=speed (counts/s)*0.01
+sample,u_V,i_A,w_rad_s | time_s=sample*{PERIOD_S} | PERIOD_S | 0.002 | time_s=sample*0.002
+";
+
 #[test]
 fn what_the_file_does_not_contain_is_a_hole() {
-    type Line = fn(&[f64; 5]) -> String;
-    let cases: [(&str, Line, &str, &str, f64, &str); 4] = [
-        (
-            "t_s,u_V,i_A,erpm",
-            |[t, u, i, w, _]| format!("{t},{u},{i},{}", 7.0 * rpm_from_rad_s(*w)),
-            "speed_rad_s=erpm*{0.104719755/POLE_PAIRS}",
-            "POLE_PAIRS",
-            7.0,
-            "speed_rad_s=erpm*0.014959965",
-        ),
-        (
-            "t_s,duty,i_A,w_rad_s",
-            |[t, u, i, w, _]| format!("{t},{},{i},{w}", u / 24.0),
-            "voltage_v=duty*{SUPPLY_V}",
-            "SUPPLY_V",
-            24.0,
-            "voltage_v=duty*24",
-        ),
-        (
-            "t_s,u_V,i_A,speed (counts/s)",
-            |[t, u, i, w, _]| format!("{t},{u},{i},{}", w * 100.0),
-            "speed_rad_s=speed (counts/s)*{6.283185307/COUNTS_PER_TURN}",
-            "COUNTS_PER_TURN",
-            628.318_530_7,
-            "speed_rad_s=speed (counts/s)*0.01",
-        ),
-        (
-            "sample,u_V,i_A,w_rad_s",
-            |[t, u, i, w, _]| format!("{},{u},{i},{w}", (t / 0.002).round()),
-            "time_s=sample*{PERIOD_S}",
-            "PERIOD_S",
-            0.002,
-            "time_s=sample*0.002",
-        ),
-    ];
-    for (head, row, hole, name, value, filled) in cases {
-        let found = proposal(head, |_, values| row(values));
+    for [head, hole, name, value, filled] in cases(HOLES) {
+        let row = |_, [t, u, i, w, _]: &[f64; 5]| match name {
+            "POLE_PAIRS" => format!("{t},{u},{i},{}", 7.0 * rpm_from_rad_s(*w)),
+            "SUPPLY_V" => format!("{t},{},{i},{w}", u / 24.0),
+            "COUNTS_PER_TURN" => format!("{t},{u},{i},{}", w * 100.0),
+            _ => format!("{},{u},{i},{w}", (t / 0.002).round()),
+        };
+        let found = proposal(head, row);
         let map = found.map.clone().unwrap();
         assert!(map.contains(hole), "{head}: {map}");
         assert!(!found.is_settled(), "{head}");
         let named = found.holes().next().unwrap();
         assert!(named.name == name && !named.how.is_empty(), "{head}");
-        let found = proposal_with(head, |_, values| row(values), &[(name, value)]);
+        let found = proposal_with(head, row, &[(name, value.parse().unwrap())]);
         let map = found.map.clone().unwrap();
         assert!(map.contains(filled) && found.is_settled(), "{head}: {map} {found:#?}");
     }

@@ -5,11 +5,11 @@ use std::sync::atomic::AtomicBool;
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 
-use super::witness::drive::{BENCH, Drive, PROFILE};
+use super::witness::drive::{BENCH, Drive};
 use super::witness::fault::Act;
 use super::{
-    BenchFile, CheckError, CheckOptions, DriveFacts, DriveProfile, FirstMove, Guard, LineClock,
-    Outcome, RunSummary, Session, Surroundings, Waivers, check, on_a_line, one_run,
+    BenchFile, CheckError, CheckOptions, DriveProfile, Guard, LineClock, Outcome, RunSummary,
+    Session, Surroundings, check, of_the_witness, on_a_line, one_run,
 };
 use crate::describe::layout;
 use crate::recording::{CommandRow, Event, Record, RecorderStatus, Row, RowOrder};
@@ -100,15 +100,8 @@ fn checked_run(
     last_seq: u64,
 ) -> RunSummary {
     let nameplate = bench.nameplate().unwrap();
-    let options = CheckOptions {
-        rate_hz: bench.link.rate_hz,
-        hardware_allowed: true,
-        hardware_confirmed: true,
-        waivers: Waivers::default(),
-        first_move: Some(FirstMove { nameplate: &nameplate, profile, is_withheld: false }),
-        stopped: &|| false,
-        reset_fault: true,
-    };
+    let first_move = CheckOptions::first_move(bench.link.rate_hz, &nameplate, profile);
+    let options = CheckOptions { reset_fault: true, ..first_move };
     // A reply that is lost on the way ends the checks, as it must; they are made again.
     let mut checked = check(link, clock, &bench.limits(), options);
     while let Err(CheckError::Link(error)) = &checked {
@@ -128,9 +121,7 @@ fn checked_run(
 
 /// Runs, one after the other, until so many seconds have passed; `after_run` gets the account of each.
 fn soak(seconds: f64, mut after_run: impl FnMut(&Account, f64)) -> Account {
-    let profile = DriveProfile::parse("drive.toml", PROFILE).unwrap();
-    let mut bench = BenchFile::parse("bench.toml", &bench()).unwrap();
-    bench.drive_facts = DriveFacts::of(&profile);
+    let (profile, bench) = of_the_witness(&bench());
     let interrupted = Arc::new(AtomicBool::new(false));
     // Of a thousand replies ten are late by 30 ms, lost, doubled, damaged, cut short, split, another unit's or among garbage.
     let drive = Drive::new(Act::RoughLine(0.03, 10), 1);

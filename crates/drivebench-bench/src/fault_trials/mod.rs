@@ -18,7 +18,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 
 use super::bench_file::BenchFile;
-use super::check::{CheckError, CheckOptions, FirstMove, Waivers, check};
+use super::check::{CheckError, CheckOptions, check};
 use super::clock::Clock;
 use super::guard::Guard;
 use super::live_online::RowEstimator;
@@ -200,15 +200,8 @@ fn work(
 ) {
     let nameplate = bench.nameplate().unwrap();
     let stopped = || interrupted.load(Ordering::Acquire);
-    let options = CheckOptions {
-        rate_hz: bench.link.rate_hz,
-        hardware_allowed: true,
-        hardware_confirmed: true,
-        waivers: Waivers::default(),
-        first_move: Some(FirstMove { nameplate: &nameplate, profile, is_withheld: false }),
-        stopped: &stopped,
-        reset_fault: false,
-    };
+    let first_move = CheckOptions::first_move(bench.link.rate_hz, &nameplate, profile);
+    let options = CheckOptions { stopped: &stopped, ..first_move };
     let report = match check(link, clock, &bench.limits(), options) {
         Ok(report) => report,
         Err(error) => {
@@ -312,10 +305,16 @@ fn trial(fault: &Fault, way: Way, seed: u64) -> Trial {
     trial_of(BENCH, Drive::new(fault.act, seed), fault.host(), way)
 }
 
-fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
+/// The profile of the independent drive, and a bench with it.
+fn of_the_witness(bench: &str) -> (DriveProfile, BenchFile) {
     let profile = DriveProfile::parse("drive.toml", PROFILE).unwrap();
     let mut bench = BenchFile::parse("bench.toml", bench).unwrap();
     bench.drive_facts = DriveFacts::of(&profile);
+    (profile, bench)
+}
+
+fn trial_of(bench: &str, drive: Drive, host: Option<Host>, way: Way) -> Trial {
+    let (profile, bench) = of_the_witness(bench);
     let interrupted = Arc::new(AtomicBool::new(false));
     let (sender, intents) = channel();
     let there = Surroundings::new(drive, host, &interrupted, Some(sender));

@@ -10,7 +10,7 @@ fn limits() -> Limits {
         travel_rad: Some(50.0),
         bus_min_v: Some(100.0),
         bus_max_v: Some(160.0),
-        ..Limits::for_motor(&Nameplate::zk_22fc(), 100.0)
+        ..Limits::zk_22fc()
     }
 }
 

@@ -308,9 +308,8 @@ impl<R: BufRead> CsvRows<R> {
 
     /// The headers of the time column.
     fn time_column(&self) -> String {
-        let time = self.columns.iter().find(|column| column.target.is_none());
-        let names =
-            time.map(|column| column.cells.iter().map(|cell| &*self.head.headers[cell.field]));
+        let names = time_of(&self.columns)
+            .map(|column| column.cells.iter().map(|cell| &*self.head.headers[cell.field]));
         names.map_or_else(String::new, |names| names.collect::<Vec<_>>().join("+"))
     }
 
@@ -404,14 +403,10 @@ impl<R: BufRead> CsvRows<R> {
     /// Stamps that can be no seconds, although no factor is given.
     fn check_unit(&self) -> Result<(), RecordingError> {
         let Clock::Numbers(clock) = &self.clock else { return Ok(()) };
-        if clock.count != 2 {
-            return Ok(());
-        }
-        let mut columns = self.columns.iter();
-        let time =
-            columns.find(|column| column.target.is_none() && !column.scaled && clock.count == 2);
-        let is_converted = |column: &&Column| (column.factor - 1.0).abs() > 0.0;
-        let Some(column) = time.filter(|column| !is_converted(column)) else { return Ok(()) };
+        let time = time_of(&self.columns).filter(|column| {
+            clock.count == 2 && !column.scaled && (column.factor - 1.0).abs() <= 0.0
+        });
+        let Some(column) = time else { return Ok(()) };
         let first = clock.first();
         let Some(unit) = unit_of_stamps(first[0], first[1] - first[0]) else { return Ok(()) };
         let column = self.head.headers[column.cells[0].field].clone();
@@ -447,11 +442,8 @@ impl<R: BufRead> CsvRows<R> {
 
     /// Whether the time of the present line can be read.
     fn has_stamp(&self) -> bool {
-        let mut columns = self.columns.iter();
-        let text = columns
-            .find(|column| column.target.is_none())
-            .map(|column| stamp_text(&self.cells, column))
-            .unwrap_or_default();
+        let time = time_of(&self.columns);
+        let text = time.map(|column| stamp_text(&self.cells, column)).unwrap_or_default();
         match &self.clock {
             Clock::Text(clock) => clock.clone().seconds(&text).is_some(),
             // An infinite or missing number is a fault of its row.
@@ -620,6 +612,10 @@ impl<R: Read> Line<'_, R> {
     }
 }
 
+fn time_of(columns: &[Column]) -> Option<&Column> {
+    columns.iter().find(|column| column.target.is_none())
+}
+
 /// The time cells of the present line, joined by a blank.
 #[inline]
 fn stamp_text<'a, R: Read>(cells: &'a Cells<R>, column: &Column) -> Cow<'a, str> {
@@ -642,8 +638,7 @@ fn too_large(value: f64, column: &str) -> RowProblem {
 
 /// Counters that the stamps may be.
 fn counters(clock: &Clock, columns: &[Column]) -> Vec<Counter> {
-    let time = columns.iter().find(|column| column.target.is_none());
-    let (factor, offset) = time.map_or((1.0, 0.0), |time| (time.factor, time.offset));
+    let (factor, offset) = time_of(columns).map_or((1.0, 0.0), |time| (time.factor, time.offset));
     let mut counters = match clock {
         Clock::Numbers(clock) if clock.origin().is_none() => Counter::all(factor),
         Clock::Text(clock) => clock.counters(),

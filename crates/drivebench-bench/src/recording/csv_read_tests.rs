@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::recording::number_text;
-use crate::testing::has;
+use crate::testing::{cases, has};
 
 fn own(text: &[u8]) -> Result<(Run, Vec<String>), RecordingError> {
     read_csv(text, "run.csv", ReadOptions::default())
@@ -265,108 +265,57 @@ fn clock(ms: u32) -> String {
     format!("{:02}:{:02}:{:02}.{ms:03}", s / 3600 % 24, s / 60 % 60, s % 60)
 }
 
-#[test]
-fn every_form_of_date_and_clock_is_read_and_said() {
-    let stamps = |form: fn(u32) -> String| stamped("t,i", (0..40).map(form));
+/// Forms of a time: name, source of the time in the map, first time in s, and a part of what is said.
+const TIMES: &str = "
+ISO 8601 | t | 43195 | column \"t\" is a date or a clock: time_s counts the seconds since midnight of 2024-05-06
+a date and a clock over midnight | Date+Time | 86399.96 | column \"Date+Time\" is a date or a clock: time_s counts the seconds since midnight of 2024-05-05
+a clock over midnight | t | 86399.96 | begins again once, first in line 22, as a counter of a day does: 86400 s were added
+a clock of twelve hours | t | 3600 | the seconds since midnight
+minutes over the hour | t | 3599.96 | as a counter of an hour does
+an hour of summer time | t | 7200 | the clock was set back by 3600 s
+16 bits of ms | t*0.001 | 65.5 | as a counter of 16 bits does: 65.536 s were added
+32 bits of us | t*1e-6 | 4294.93 | as a counter of 32 bits does
+ns since 1970 | t*1e-9 | 0 | time_s counts from the first row, at 1714996795123456789 in column \"t\"
+days of a spreadsheet | t*86400 | 0 | time_s counts from the first row, at 45418.500000000000
+a clock set back | t*0.001 | 5 | the clock was set back by 2.998 s in line 22: the rows go on one usual step (0.002 s)
+";
+
+/// The stamp of a row in one of these forms.
+fn stamp(form: &str, k: u32) -> String {
     let late = 86_400_000 - 40;
-    for (name, text, map, first_s, part) in [
-        (
-            "ISO 8601",
-            stamps(|k| format!("2024-05-06T11:59:55.{:03}Z", 2 * k)),
-            "time_s=t,current_a=i",
-            43_195.0,
-            "column \"t\" is a date or a clock: time_s counts the seconds since midnight of 2024-05-06",
-        ),
-        (
-            "a date and a clock over midnight",
-            stamped(
-                "Date,Time,i",
-                (0..40).map(|k| {
-                    let day = if k < 20 { 5 } else { 6 };
-                    format!("0{day}/05/2024,{}", clock(late + 2 * k))
-                }),
-            ),
-            "time_s=Date+Time,current_a=i",
-            86_399.96,
-            "column \"Date+Time\" is a date or a clock: time_s counts the seconds since midnight of 2024-05-05",
-        ),
-        (
-            "a clock over midnight",
-            stamped("t,i", (0..40).map(|k| clock(late + 2 * k))),
-            "time_s=t,current_a=i",
-            86_399.96,
-            "begins again once, first in line 22, as a counter of a day does: 86400 s were added",
-        ),
-        (
-            "a clock of twelve hours",
-            stamped("t,i", (0..40).map(|k| format!("{} AM", &clock(3_600_000 + 2 * k)[1..]))),
-            "time_s=t,current_a=i",
-            3600.0,
-            "the seconds since midnight",
-        ),
-        (
-            "minutes over the hour",
-            stamped("t,i", (0..40).map(|k| clock(3_600_000 - 40 + 2 * k)[3..].to_owned())),
-            "time_s=t,current_a=i",
-            3599.96,
-            "as a counter of an hour does",
-        ),
-    ] {
-        in_order(name, &text, map, first_s, part);
+    let before_or_behind = |before, behind| if k < 20 { before } else { behind };
+    match form {
+        "ISO 8601" => format!("2024-05-06T11:59:55.{:03}Z", 2 * k),
+        "a date and a clock over midnight" => {
+            format!("0{}/05/2024,{}", before_or_behind(5, 6), clock(late + 2 * k))
+        }
+        "a clock over midnight" => clock(late + 2 * k),
+        "a clock of twelve hours" => format!("{} AM", &clock(3_600_000 + 2 * k)[1..]),
+        "minutes over the hour" => clock(3_600_000 - 40 + 2 * k)[3..].to_owned(),
+        "an hour of summer time" => {
+            format!("2024-10-27 0{}:00:00.{:03}", before_or_behind(2, 1), 2 * k)
+        }
+        "16 bits of ms" => ((65_500 + 2 * k) % 65_536).to_string(),
+        "32 bits of us" => 4_294_930_000_u32.wrapping_add(2000 * k).to_string(),
+        "ns since 1970" => (1_714_996_795_123_456_789 + 2_000_000 * u64::from(k)).to_string(),
+        "days of a spreadsheet" => format!("{:.12}", 45_418.5 + f64::from(k) * 2e-3 / 86_400.0),
+        "a clock set back" => (before_or_behind(5000, 2000) + 2 * k).to_string(),
+        other => panic!("{other}"),
     }
 }
 
 #[test]
-fn every_form_of_numeric_time_is_read_and_said() {
-    let stamps = |form: fn(u32) -> String| stamped("t,i", (0..40).map(form));
-    for (name, text, map, first_s, part) in [
-        (
-            "16 bits of ms",
-            stamps(|k| ((65_500 + 2 * k) % 65_536).to_string()),
-            "time_s=t*0.001,current_a=i",
-            65.5,
-            "as a counter of 16 bits does: 65.536 s were added",
-        ),
-        (
-            "32 bits of us",
-            stamps(|k| 4_294_930_000_u32.wrapping_add(2000 * k).to_string()),
-            "time_s=t*1e-6,current_a=i",
-            4294.93,
-            "as a counter of 32 bits does",
-        ),
-        (
-            "ns since 1970",
-            stamps(|k| (1_714_996_795_123_456_789_u64 + 2_000_000 * u64::from(k)).to_string()),
-            "time_s=t*1e-9,current_a=i",
-            0.0,
-            "time_s counts from the first row, at 1714996795123456789 in column \"t\"",
-        ),
-        (
-            "days of a spreadsheet",
-            stamps(|k| format!("{:.12}", 45_418.5 + f64::from(k) * 2e-3 / 86_400.0)),
-            "time_s=t*86400,current_a=i",
-            0.0,
-            "time_s counts from the first row, at 45418.500000000000",
-        ),
-        (
-            "a clock set back",
-            stamps(|k| (if k < 20 { 5000 + 2 * k } else { 2000 + 2 * k }).to_string()),
-            "time_s=t*0.001,current_a=i",
-            5.0,
-            "the clock was set back by 2.998 s in line 22: the rows go on one usual step (0.002 s)",
-        ),
-        (
-            "an hour of summer time",
-            stamps(|k| {
-                let hour = if k < 20 { 2 } else { 1 };
-                format!("2024-10-27 0{hour}:00:00.{:03}", 2 * k)
-            }),
-            "time_s=t,current_a=i",
-            7200.0,
-            "the clock was set back by 3600 s",
-        ),
-    ] {
-        in_order(name, &text, map, first_s, part);
+fn every_form_of_time_is_read_and_said() {
+    for [name, time, first_s, part] in cases(TIMES) {
+        let header = if time == "Date+Time" { "Date,Time,i" } else { "t,i" };
+        let text = stamped(header, (0..40).map(|k| stamp(name, k)));
+        in_order(
+            name,
+            &text,
+            &format!("time_s={time},current_a=i"),
+            first_s.parse().unwrap(),
+            part,
+        );
     }
 }
 
@@ -401,14 +350,6 @@ the header again | t,u,i/0,1500.5,-2/t,u,i/1,2,0.3/ | the header row stands agai
 texts for missing | t,u,i/0,1500.5,-2/0.5,#NA,ERR/0.7,-9999.0,/1,2,0.3/ |  | --missing #NA,err,-9999
 carriage returns | t,u,i\r0,1500.5,-2\r1,2,0.3\r | carriage returns end its lines |
 ";
-
-/// The cases of a table, one in each line, and their cells.
-fn cases<const N: usize>(table: &str) -> impl Iterator<Item = [&str; N]> {
-    table.lines().skip(1).map(|line| {
-        let cells: Vec<&str> = line.split('|').map(|cell| cell.trim_matches(' ')).collect();
-        cells.try_into().unwrap_or_else(|_| panic!("{line}"))
-    })
-}
 
 /// Reads a file, in which line ends are written as `/`, with one option: another map, `--missing` or `--skip`.
 fn read_with(text: &str, map: &str, option: &str) -> Result<Run, RecordingError> {

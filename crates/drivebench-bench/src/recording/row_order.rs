@@ -206,6 +206,7 @@ impl RowOrder {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::testing::cases;
     use proptest::prelude::*;
 
     fn layout() -> Layout {
@@ -251,80 +252,42 @@ mod tests {
         assert_eq!(rows[1].quality, "", "a stamp of the drive has no half-width");
     }
 
-    /// A command with its number, time and voltage; a sample with its time, and the number and time of the applied command.
-    enum Step {
-        Send(u64, f64, f64),
-        Take(f64, Option<(u64, f64)>),
-        Finish,
-    }
+    /// Name, steps, rows, and the numbers of repeats and of unconfirmed commands. A command has its number, time and voltage, a
+    /// sample its time, and the number and time of the applied command; line ends are written as `/`.
+    const CASES: &str = "
+each where it was applied; equal times are one row | send 1 0 5, take 0.01 1 0.003, send 2 0.01 6, take 0.02 2 0.02 | 0.003,1,5,,,/0.01,,,1,,/0.02,2,6,1,,/ | 0 0
+one that is applied after the sample waits for the next one | send 1 0 5, take 0.01 0 0, send 2 0.01 6, take 0.02 1 0.011, finish | 0.01,,,1,,/0.011,1,5,,,/0.02,,,1,,/0.020000000000000004,2,6,,,voltage_cmd_v:unconfirmed/ | 0 1
+a lost reply leaves a remark and stops nothing | send 1 0.001 5, send 2 0.011 6, take 0.02 2 0.012 | 0.001,1,5,,,voltage_cmd_v:unconfirmed/0.012,2,6,,,/0.02,,,1,,/ | 0 1
+without stamps where it was sent | send 1 0.001 5, take 0.005 | 0.001,1,5,,,/0.005,,,1,,/ | 0 0
+a sample that is not new is counted and left out | take 0.1, take 0.1, take 0.05, take NaN, take 0.2 | 0.1,,,1,,/0.2,,,1,,/ | 3 0
+";
 
     #[test]
     fn commands_have_the_time_at_which_they_were_applied() {
-        use Step::{Finish, Send, Take};
-        for (name, steps, expected, repeats, unconfirmed) in [
-            (
-                "each where it was applied; equal times are one row",
-                vec![
-                    Send(1, 0.0, 5.0),
-                    Take(0.010, Some((1, 0.003))),
-                    Send(2, 0.010, 6.0),
-                    Take(0.020, Some((2, 0.020))),
-                ],
-                "0.003,1,5,,,\n0.01,,,1,,\n0.02,2,6,1,,\n",
-                0,
-                0,
-            ),
-            (
-                "one that is applied after the sample waits for the next one",
-                vec![
-                    Send(1, 0.0, 5.0),
-                    Take(0.010, Some((0, 0.0))),
-                    Send(2, 0.010, 6.0),
-                    Take(0.020, Some((1, 0.011))),
-                    Finish,
-                ],
-                "0.01,,,1,,\n0.011,1,5,,,\n0.02,,,1,,\n0.020000000000000004,2,6,,,voltage_cmd_v:unconfirmed\n",
-                0,
-                1,
-            ),
-            (
-                "a lost reply leaves a remark and stops nothing",
-                vec![Send(1, 0.001, 5.0), Send(2, 0.011, 6.0), Take(0.020, Some((2, 0.012)))],
-                "0.001,1,5,,,voltage_cmd_v:unconfirmed\n0.012,2,6,,,\n0.02,,,1,,\n",
-                0,
-                1,
-            ),
-            (
-                "without stamps where it was sent",
-                vec![Send(1, 0.001, 5.0), Take(0.005, None)],
-                "0.001,1,5,,,\n0.005,,,1,,\n",
-                0,
-                0,
-            ),
-            (
-                "a sample that is not new is counted and left out",
-                [0.1, 0.1, 0.05, f64::NAN, 0.2].map(|time_s| Take(time_s, None)).into(),
-                "0.1,,,1,,\n0.2,,,1,,\n",
-                3,
-                0,
-            ),
-        ] {
+        for [name, steps, expected, counts] in cases(CASES) {
             let layout = layout().without_host_time();
             let mut order = RowOrder::new(layout.clone());
             let mut text = String::new();
-            for step in steps {
-                let rows = match step {
-                    Send(seq, time_s, value) => {
-                        order.command(volts(seq, time_s, value));
+            for step in steps.split(", ") {
+                let words: Vec<&str> = step.split(' ').collect();
+                let number = |text: &str| text.parse::<f64>().unwrap();
+                let seq = |text: &str| text.parse().unwrap();
+                let rows = match words[..] {
+                    ["send", own, time_s, value] => {
+                        order.command(volts(seq(own), number(time_s), number(value)));
                         continue;
                     }
-                    Take(time_s, applied) => order.sample(&sample(time_s, applied)),
-                    Finish => order.finish(),
+                    ["take", time_s] => order.sample(&sample(number(time_s), None)),
+                    ["take", time_s, own, applied_s] => {
+                        let applied = Some((seq(own), number(applied_s)));
+                        order.sample(&sample(number(time_s), applied))
+                    }
+                    _ => order.finish(),
                 };
                 text.extend(rows.iter().map(|row| layout.line(row)));
             }
-            assert_eq!(text, expected, "{name}");
-            assert_eq!((order.repeats(), order.unconfirmed()), (repeats, unconfirmed), "{name}");
+            assert_eq!(text.replace('\n', "/"), expected, "{name}");
+            assert_eq!(format!("{} {}", order.repeats(), order.unconfirmed()), counts, "{name}");
         }
     }
 
