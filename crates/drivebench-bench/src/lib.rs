@@ -25,6 +25,7 @@ mod limits;
 mod line_watch;
 mod live_online;
 mod mechanics;
+mod pattern;
 mod pilot;
 mod plan;
 mod plausibility;
@@ -62,6 +63,7 @@ pub use live_online::{
     Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,
 };
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
+pub use pattern::fits_pattern;
 pub use pilot::{Pilot, PilotEvent, Program};
 pub use plan::{Observability, Plan, PlanError, Prospect, Refusal, SegmentPlan, plan_run};
 pub use plausibility::Plausibility;

@@ -1,41 +1,20 @@
 //! Punctuality of the cycles: requested and achieved rate, lateness, missed cycles.
 
+use drivebench_link::RoundTrips;
 use serde::Serialize;
 
-/// The logarithmic histogram of lateness: from 1 us, below which it counts as none, to 100 s.
-const PER_DECADE: f64 = 30.0;
-const BUCKETS: usize = 241;
-
-/// Lateness of cycles as a histogram, so that the memory does not grow: a percentile is known to 8 %.
-#[derive(Clone, Debug)]
+/// Lateness of cycles, in the histogram of bounded size that round trips have: a percentile is known to 5 %.
+#[derive(Clone, Debug, Default)]
 pub(super) struct Punctuality {
-    counts: Vec<u64>,
-    cycles: u64,
+    late: RoundTrips,
     missed: u64,
-    worst_s: f64,
     first_s: Option<f64>,
     last_s: f64,
 }
 
-impl Default for Punctuality {
-    fn default() -> Self {
-        Self {
-            counts: vec![0; BUCKETS],
-            cycles: 0,
-            missed: 0,
-            worst_s: 0.0,
-            first_s: None,
-            last_s: 0.0,
-        }
-    }
-}
-
 impl Punctuality {
     pub(super) fn cycle(&mut self, now_s: f64, late_s: f64) {
-        let bucket = whole((PER_DECADE * (late_s / 1e-6).max(1.0).log10()).ceil());
-        self.counts[bucket.min(BUCKETS - 1)] += 1;
-        self.cycles += 1;
-        self.worst_s = self.worst_s.max(late_s);
+        self.late.add(late_s);
         self.first_s.get_or_insert(now_s);
         self.last_s = now_s;
     }
@@ -46,29 +25,16 @@ impl Punctuality {
 
     pub(super) fn timing(&self, rate_asked_hz: f64) -> Timing {
         let span_s = self.last_s - self.first_s.unwrap_or(self.last_s);
+        let steps = self.late.count().saturating_sub(1) as f64;
         Timing {
             rate_asked_hz,
-            rate_achieved_hz: if span_s > 0.0 { (self.cycles - 1) as f64 / span_s } else { 0.0 },
-            lateness_p50_s: self.quantile_s(0.5),
-            lateness_p99_s: self.quantile_s(0.99),
-            lateness_max_s: self.worst_s,
-            cycles: self.cycles,
+            rate_achieved_hz: if span_s > 0.0 { steps / span_s } else { 0.0 },
+            lateness_p50_s: self.late.p50_s().unwrap_or(0.0),
+            lateness_p99_s: self.late.p99_s().unwrap_or(0.0),
+            lateness_max_s: self.late.longest_s(),
+            cycles: self.late.count(),
             missed_cycles: self.missed,
         }
-    }
-
-    /// Upper edge of the bucket in which the quantile lies.
-    fn quantile_s(&self, share: f64) -> f64 {
-        let rank = whole((share * self.cycles as f64).ceil()).max(1) as u64;
-        let mut below = 0;
-        for (bucket, count) in self.counts.iter().enumerate() {
-            below += count;
-            if below >= rank && below > 0 {
-                let edge_s = 1e-6 * 10_f64.powf(bucket as f64 / PER_DECADE);
-                return if bucket == 0 { 0.0 } else { edge_s.min(self.worst_s) };
-            }
-        }
-        0.0
     }
 }
 

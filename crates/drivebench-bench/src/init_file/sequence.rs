@@ -6,7 +6,7 @@ use crate::bench_file::{BenchFile, Cells, SPEED_ENDS_S, cells};
 use crate::currents::{CurrentsSection, TURNS};
 use crate::escalate::scale;
 use crate::limits::{Nameplate, short};
-use crate::plan::{Plan, plan, plan_run};
+use crate::plan::{Plan, Refusal, plan_run};
 use crate::speed::{ControllerKind, ReferencePart, SpeedSection};
 use drivebench_link::register_map::Quantity;
 use drivebench_model::excitation::{self, Dither, Prbs, Ramp, Segment, Standstill, Steps};
@@ -102,21 +102,12 @@ fn voltages(
     bench.limits.slew_v_per_s = Some(slew_v_per_s);
     // While the sequence is fitted its length does not matter.
     bench.limits.time_s = Some(3600.0);
-    let own_limit_a = request.readback.current_limit_a;
-    let refused = |text: String| InitError::new(text, "correct the nameplate");
-    let scaled = scale(bench, nameplate, own_limit_a)
-        .map_err(|error| refused(error.to_string()))?
-        .map_err(|refusal| {
-            InitError::new(
-                format!("even the smallest sequence is too much for this motor: {refusal}"),
-                "check the nameplate against the motor, and its load",
-            )
-        })?;
+    let scaled = scale(bench, nameplate, request.readback.current_limit_a)
+        .map_err(|error| wrong_nameplate(&error))?
+        .map_err(|refusal| too_much("even the smallest sequence", &refusal))?;
     bench.sequence = scaled.bench.sequence.into_iter().map(rounded).collect();
     bench.limits.slew_v_per_s = Some(short(scaled.slew_v_per_s));
-    let program = bench.program(bench.runs.fit)?;
-    let planned = plan(&program, nameplate, &bench.limits(), bench.link.rate_hz, own_limit_a)
-        .map_err(|error| refused(error.to_string()))?;
+    fitted.plan = Some(planned(bench, request, nameplate)?);
     fitted.reasons.push(Reasoned::new("limits.slew_v_per_s", bench.limits.slew_v_per_s, format!(
             "while the voltage rises at s, the back-EMF lags by s R J/Ke^2: with the load of {load_a:.2} A that draws {:.1} A, {:.0} % of limits.current_a",
             load_a + accelerating_a,
@@ -130,7 +121,6 @@ fn voltages(
             why.as_deref().unwrap_or("limits")
         ));
     }
-    fitted.plan = Some(planned);
     Ok(())
 }
 
@@ -157,17 +147,33 @@ fn currents(
     bench.currents = Some(section);
     // While the length is not set.
     bench.limits.time_s = Some(3600.0);
-    let own_limit_a = request.readback.current_limit_a;
-    let planned = plan_run(bench, bench.runs.fit, nameplate, bench.link.rate_hz, own_limit_a)
-        .map_err(|error| InitError::new(error.to_string(), "correct the nameplate"))?;
+    let planned = planned(bench, request, nameplate)?;
     if let Some(refusal) = planned.refusals.first() {
-        return Err(InitError::new(
-            format!("the sequence of currents is too much for this motor: {refusal}"),
-            "check the nameplate against the motor, and its load",
-        ));
+        return Err(too_much("the sequence of currents", refusal));
     }
     fitted.plan = Some(planned);
     Ok(())
+}
+
+fn planned(
+    bench: &BenchFile,
+    request: &InitRequest<'_>,
+    nameplate: &Nameplate,
+) -> Result<Plan, InitError> {
+    let own_limit_a = request.readback.current_limit_a;
+    plan_run(bench, bench.runs.fit, nameplate, bench.link.rate_hz, own_limit_a)
+        .map_err(|error| wrong_nameplate(&error))
+}
+
+fn wrong_nameplate(error: &impl ToString) -> InitError {
+    InitError::new(error.to_string(), "correct the nameplate")
+}
+
+fn too_much(sequence: &str, refusal: &Refusal) -> InitError {
+    InitError::new(
+        format!("{sequence} is too much for this motor: {refusal}"),
+        "check the nameplate against the motor, and its load",
+    )
 }
 
 /// The rich sequence, or one without negative voltages. After the standstill comes a small level, which breaks few shafts away:
