@@ -8,6 +8,19 @@ use serde::Serialize;
 use drivebench_link::CellTable;
 use drivebench_link::register_map::{Kind, Layout, Order};
 
+/// The digits of a number in hexadecimal.
+fn hexadecimal(text: &str) -> Option<&str> {
+    text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"))
+}
+
+/// The content of a register, or its number: decimal, or hexadecimal with 0x.
+pub(super) fn cell(text: &str) -> Option<u16> {
+    match hexadecimal(text) {
+        Some(digits) => u16::from_str_radix(digits, 16).ok(),
+        None => text.parse().ok(),
+    }
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub(super) enum ValueType {
@@ -21,19 +34,13 @@ pub(super) enum ValueType {
 }
 
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum, Serialize)]
+#[value(rename_all = "UPPER")]
+#[serde(rename_all = "UPPERCASE")]
 pub(super) enum ByteOrder {
     #[default]
-    #[value(name = "ABCD")]
-    #[serde(rename = "ABCD")]
     Abcd,
-    #[value(name = "CDAB")]
-    #[serde(rename = "CDAB")]
     Cdab,
-    #[value(name = "BADC")]
-    #[serde(rename = "BADC")]
     Badc,
-    #[value(name = "DCBA")]
-    #[serde(rename = "DCBA")]
     Dcba,
 }
 
@@ -140,7 +147,7 @@ impl Format {
             ValueType::F32 | ValueType::Text => "a number of 32 bits",
         };
         let is_whole = self.kind != ValueType::F32;
-        let number = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
+        let number = match hexadecimal(text) {
             Some(digits) if is_whole => u32::from_str_radix(digits, 16).ok().map(f64::from),
             Some(_) => None,
             None => text.parse().ok(),
@@ -289,11 +296,7 @@ impl Address {
         if let Some((number, table)) = converted {
             return Ok(Self { number, table: Some(table), notation: Some(text.to_owned()) });
         }
-        let number = match lower.strip_prefix("0x") {
-            Some(digits) => u16::from_str_radix(digits, 16).ok(),
-            None => lower.parse().ok(),
-        };
-        number.map(|number| Self { number, table: None, notation: None }).ok_or_else(|| {
+        cell(text).map(|number| Self { number, table: None, notation: None }).ok_or_else(|| {
             format!(
                 "{text:?} is not a number from 0 to 65535 (0x... for hexadecimal; 4x1, 3x1, 400001 or 300001 for registers as manuals count them)"
             )
@@ -345,21 +348,18 @@ mod tests {
             };
             assert_eq!(read[0].text(), expected, "{context}");
         }
-        for (kind, typed) in [
-            (U16, "-1"),
-            (U16, "65536"),
-            (U16, "1.5"),
-            (I16, "40000"),
-            (U32, "4294967296"),
-            (I32, "0x"),
-            (F32, "1e39"),
-            (F32, "nan"),
-            (F32, "0x10"),
-            (Text, ""),
-            (Text, "é"),
+        for (kind, wrong) in [
+            (U16, &["-1", "65536", "1.5"][..]),
+            (I16, &["40000"]),
+            (U32, &["4294967296"]),
+            (I32, &["0x"]),
+            (F32, &["1e39", "nan", "0x10"]),
+            (Text, &["", "é"]),
         ] {
-            let refused = format(kind, Abcd).encode(typed);
-            assert!(refused.is_err(), "{kind:?} {typed}: {refused:?}");
+            for typed in wrong {
+                let refused = format(kind, Abcd).encode(typed);
+                assert!(refused.is_err(), "{kind:?} {typed}: {refused:?}");
+            }
         }
         assert!(Format::new(Text, Dcba).is_err() && Format::new(F32, Dcba).is_ok());
     }
@@ -378,14 +378,10 @@ mod tests {
             ("400001", Some((0, Some(Holding)))),
             ("465536", Some((65_535, Some(Holding)))),
             ("300100", Some((99, Some(Input)))),
-            ("4x0", None),
-            ("4x65537", None),
-            ("400000", None),
-            ("465537", None),
-            ("65536", None),
-            ("-1", None),
-            ("", None),
-        ] {
+        ]
+        .into_iter()
+        .chain(["4x0", "4x65537", "400000", "465537", "65536", "-1", ""].map(|text| (text, None)))
+        {
             let found = Address::parse(text).ok().map(|address| (address.number, address.table));
             assert_eq!(found, expected, "{text}");
         }

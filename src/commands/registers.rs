@@ -14,7 +14,7 @@ use serde::Serialize;
 
 use crate::commands::arguments::WireArguments;
 use crate::commands::register_values::{
-    Address, ByteOrder, Format, Guess, Value, ValueType, guesses,
+    Address, ByteOrder, Format, Guess, Value, ValueType, cell, guesses,
 };
 use crate::runtime::failure::Failure;
 use crate::runtime::output::{Terminal, lines};
@@ -57,13 +57,9 @@ fn value(text: &str) -> Result<u16, String> {
     }
 }
 
-/// Decimal, or hexadecimal with 0x.
+/// As [`cell`], or an error.
 fn number(text: &str) -> Result<u16, String> {
-    let parsed = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
-        Some(digits) => u16::from_str_radix(digits, 16).ok(),
-        None => text.parse().ok(),
-    };
-    parsed
+    cell(text)
         .ok_or_else(|| format!("{text:?} is not a number from 0 to 65535 (0x... for hexadecimal)"))
 }
 
@@ -87,12 +83,8 @@ struct ReadArguments {
     /// Input registers instead of holding registers
     #[arg(long)]
     input: bool,
-    /// Type of the values; without it the registers themselves
-    #[arg(long = "as", value_enum, value_name = "TYPE")]
-    kind: Option<ValueType>,
-    /// Order of the bytes of a value as they come, the highest is A
-    #[arg(long, value_enum, ignore_case = true, requires = "kind", default_value = "ABCD")]
-    order: ByteOrder,
+    #[command(flatten)]
+    typed: Typed,
     /// Show every reading of the registers that looks plausible, and why
     #[arg(long, conflicts_with = "kind")]
     guess: bool,
@@ -160,13 +152,26 @@ impl Span {
     }
 }
 
-fn format(kind: Option<ValueType>, order: ByteOrder) -> Result<Option<Format>, Failure> {
-    let format = kind.map(|kind| Format::new(kind, order)).transpose();
-    format.map_err(|headline| Failure::usage(headline, "ABCD is the order of the standard"))
+/// How the values are typed.
+#[derive(clap::Args)]
+struct Typed {
+    /// Type of the values; without it each is one register
+    #[arg(long = "as", value_enum, value_name = "TYPE")]
+    kind: Option<ValueType>,
+    /// Order of the bytes of a value on the line, the highest is A
+    #[arg(long, value_enum, ignore_case = true, requires = "kind", default_value = "ABCD")]
+    order: ByteOrder,
+}
+
+impl Typed {
+    fn format(&self) -> Result<Option<Format>, Failure> {
+        let format = self.kind.map(|kind| Format::new(kind, self.order)).transpose();
+        format.map_err(|headline| Failure::usage(headline, "ABCD is the order of the standard"))
+    }
 }
 
 fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
-    let format = format(arguments.kind, arguments.order)?;
+    let format = arguments.typed.format()?;
     let request = |span: &Span| span.request(arguments.input, format);
     let requests = arguments.spans.iter().map(request).collect::<Result<Vec<_>, _>>()?;
     for remark in arguments.spans.iter().filter_map(|span| span.address.remark()) {
@@ -215,12 +220,8 @@ struct WriteArguments {
     /// Values from there on; without --as one for each register
     #[arg(required = true, value_name = "VALUE", allow_negative_numbers = true)]
     values: Vec<String>,
-    /// Type of the values
-    #[arg(long = "as", value_enum, value_name = "TYPE")]
-    kind: Option<ValueType>,
-    /// Order of the bytes of a value as they are sent, the highest is A
-    #[arg(long, value_enum, ignore_case = true, requires = "kind", default_value = "ABCD")]
-    order: ByteOrder,
+    #[command(flatten)]
+    typed: Typed,
     #[command(flatten)]
     wire: WireArguments,
     /// Function code 16 for a single register too; many drives have only one of 6 and 16
@@ -246,7 +247,7 @@ fn write(arguments: &WriteArguments, terminal: &Terminal) -> Result<(), Failure>
             "holding registers are 4x1, 400001, or protocol addresses",
         ));
     }
-    let format = format(arguments.kind, arguments.order)?;
+    let format = arguments.typed.format()?;
     let encoded = arguments.values.iter().map(|text| match format {
         Some(format) => format.encode(text),
         None => value(text).map(|word| vec![word]),
@@ -618,6 +619,7 @@ mod tests {
         ] {
             assert_eq!(value(text).ok(), expected, "value {text}");
         }
+        let wrong = ["", ":", "a", "-1", "65536", "0:0", "0:126", "65535:2", "1:2:3"];
         let float = Format::new(ValueType::F32, ByteOrder::Cdab).ok();
         for (text, format, expected) in [
             ("10", None, Some((10, 1))),
@@ -628,16 +630,10 @@ mod tests {
             ("10:4", float, Some((10, 4))),
             ("10:3", float, None),
             ("65535", float, None),
-            ("", None, None),
-            (":", None, None),
-            ("a", None, None),
-            ("-1", None, None),
-            ("65536", None, None),
-            ("0:0", None, None),
-            ("0:126", None, None),
-            ("65535:2", None, None),
-            ("1:2:3", None, None),
-        ] {
+        ]
+        .into_iter()
+        .chain(wrong.map(|text| (text, None, None)))
+        {
             let request = span(text).ok().and_then(|span| span.request(false, format).ok());
             let found = request.map(|request| (request.address, request.count));
             assert_eq!(found, expected, "span {text}");
