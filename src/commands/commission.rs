@@ -21,7 +21,7 @@ use crate::commands::evidence::admit_later;
 use crate::commands::run::{
     BETWEEN_RUNS, RunDone, escalate, escalation_failure, find_by_currents, of_balances, run,
 };
-use crate::commands::speed::{SpeedRequest, speed};
+use crate::commands::speed::{LoopArguments, SpeedRequest, speed};
 use crate::commands::{by_hand, pages};
 use crate::report::wording::diagnosis as words;
 use crate::report::wording::next_run::next_run;
@@ -79,12 +79,13 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
         })
     })?;
     drop(shown);
-    let followed = follow(done.work, done.screen, &options, &source);
+    let (screen, mut done) = (done.screen, done.work);
+    let mut results = Vec::new();
+    let outcome = follow(&mut done, &mut results, screen, &options, &source);
     // The result of the commissioning is printed however its screen was left.
-    let mut done = followed.done;
-    done.document.say("then", followed.results, 4);
+    done.document.say("then", results, 4);
     terminal.document(&done.result, live.json, live.full, &done.document)?;
-    followed.outcome
+    outcome
 }
 
 /// Progress on stderr: each step once when it begins and once with its figure.
@@ -329,46 +330,35 @@ fn save(workflow: &Commission, rig: &Rig, records: &mut [Recorded]) -> Result<St
     Ok(report.unwrap_or_else(|| "not written".to_owned()))
 }
 
-/// A commissioning whose screen was closed, with the steps that followed.
-struct Followed {
-    done: CommissionDone,
-    /// Of each requested step, a sentence.
-    results: Vec<String>,
-    outcome: Result<(), Failure>,
-}
-
-/// Carries out the steps that the keys of a commissioning's screen request, until it is left. `source` is the name and the
-/// text of the bench file.
+/// Carries out the steps that the keys of a commissioning's screen request, until it is left, and adds a sentence of each
+/// to the results. `source` is the name and the text of the bench file.
 fn follow(
-    mut done: CommissionDone,
+    done: &mut CommissionDone,
+    results: &mut Vec<String>,
     mut screen: ScreenEnd,
     options: &RigOptions,
     source: &(String, String),
-) -> Followed {
-    let mut results = Vec::new();
+) -> Result<(), Failure> {
     // From here on a signal ends whichever step is under way.
-    let hang_up = match signals::flag() {
-        Ok(flag) => flag,
-        Err(failure) => return Followed { done, results, outcome: Err(failure) },
-    };
+    let hang_up = signals::flag()?;
     let interrupted = || Failure::interrupted(BETWEEN_RUNS);
-    let first_file = first_folder(&done).map(|folder| folder.join(RunFile::NextBench.name()));
+    let first_file = first_folder(done).map(|folder| folder.join(RunFile::NextBench.name()));
     let mut next_file = first_file.ok();
-    let outcome = loop {
+    loop {
         let ScreenEnd::Screen(exit) = screen else {
-            break screen.conclude(done.record_failure.take());
+            return screen.conclude(done.record_failure.take());
         };
         let (step, result) = match exit {
             Exit::Diagnosis | Exit::Traces => {
-                (Step::Diagnose, diagnose(&done, exit, &options.terminal))
+                (Step::Diagnose, diagnose(done, exit, &options.terminal))
             }
-            Exit::Experiment => (Step::Experiment, experiment(&mut done, &mut next_file, options)),
-            Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(&done, options, source)),
-            _ => break screen.conclude(done.record_failure.take()),
+            Exit::Experiment => (Step::Experiment, experiment(done, &mut next_file, options)),
+            Exit::SpeedLoop => (Step::SpeedLoop, speed_loop(done, options, source)),
+            _ => return screen.conclude(done.record_failure.take()),
         };
         let is_hung_up = hang_up.load(Ordering::Acquire);
         match result {
-            Ok(_) if is_hung_up => break Err(interrupted()),
+            Ok(_) if is_hung_up => return Err(interrupted()),
             Ok(line) if line.is_empty() => {}
             Ok(line) => {
                 results.push(format!("{}: {line}", step.title()));
@@ -384,16 +374,15 @@ fn follow(
                 let text = format!("{}; {}", failure.headline(), failure.help());
                 done.progress.done_on_request(step, Err(text));
             }
-            Err(failure) => break Err(failure),
+            Err(failure) => return Err(failure),
         }
-        screen = match show_again(&done, &options.terminal) {
-            Ok(ScreenEnd::Screen(Exit::Interrupted | Exit::Forced)) => break Err(interrupted()),
-            Ok(_) if hang_up.load(Ordering::Acquire) => break Err(interrupted()),
+        screen = match show_again(done, &options.terminal) {
+            Ok(ScreenEnd::Screen(Exit::Interrupted | Exit::Forced)) => return Err(interrupted()),
+            Ok(_) if hang_up.load(Ordering::Acquire) => return Err(interrupted()),
             Ok(screen) => screen,
-            Err(failure) => break Err(failure),
+            Err(failure) => return Err(failure),
         };
-    };
-    Followed { done, results, outcome }
+    }
 }
 
 /// The failure of a run that followed, or an interruption of its screen.
@@ -557,11 +546,10 @@ fn speed_loop(
     let request = SpeedRequest {
         rig: options_again(options),
         source: source.clone(),
-        model: Some(first_folder(done)?.join(RunFile::Model.name())),
-        controller: None,
-        feed_forward: None,
-        maps: Vec::new(),
-        actuator: None,
+        own: LoopArguments {
+            model: Some(first_folder(done)?.join(RunFile::Model.name())),
+            ..LoopArguments::default()
+        },
     };
     let terminal = &options.terminal;
     let ended = conduct(terminal, Audience::FollowedBy("back to the steps"), move |controls| {

@@ -294,8 +294,12 @@ pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Cont
             Some(false) => Target::Hardware,
             None => Target::Unknown,
         },
-        date: date(&manifest.stamp),
-        motor: motor(manifest),
+        // Another stamp as it is.
+        date: manifest.began().map_or_else(
+            || manifest.stamp.clone(),
+            |began| began.replace('T', " ").replace('Z', " UTC"),
+        ),
+        motor: manifest.machine().motor,
         run_folders: folders.collect(),
         identity: table(&manifest.identity),
         plan: Facts::new(),
@@ -304,24 +308,6 @@ pub(crate) fn context(manifest: &Manifest, folders: &[impl AsRef<Path>]) -> Cont
         versions: vec![fact("drivebench", manifest.program_version.clone())],
         ..Context::default()
     }
-}
-
-/// The stamp of a folder as a date; another text as it is.
-fn date(stamp: &str) -> String {
-    let parsed = jiff::civil::DateTime::strptime("%Y%m%dT%H%M%SZ", stamp);
-    parsed.map_or_else(
-        |_| stamp.to_owned(),
-        |date| date.strftime("%Y-%m-%d %H:%M:%S UTC").to_string(),
-    )
-}
-
-/// Name of the motor in the bench file of a run.
-fn motor(manifest: &Manifest) -> String {
-    let bench: Option<toml::Table> =
-        manifest.configs.get("bench").and_then(|text| text.parse().ok());
-    bench
-        .and_then(|bench| Some(bench.get("motor")?.get("name")?.as_str()?.to_owned()))
-        .unwrap_or_default()
 }
 
 fn plan_facts(plan: &Plan) -> Facts {

@@ -310,7 +310,7 @@ struct ReadResult {
     counters: RawCounters,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct ReadOutcome {
     address: u16,
     /// `input`; absent for holding registers.
@@ -369,12 +369,9 @@ impl ReadResult {
         let reads = batch.reads.iter().map(|read| ReadOutcome {
             address: read.request.address,
             table: (read.request.table == CellTable::Input).then_some("input"),
-            notation: None,
-            format: None,
-            decoded: None,
-            guesses: None,
             values: read.values.as_ref().ok().cloned(),
             error: read.values.as_ref().err().map(ToString::to_string),
+            ..ReadOutcome::default()
         });
         Self {
             reads: reads.collect(),

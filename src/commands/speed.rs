@@ -42,26 +42,33 @@ use drivebench_model::sample::Channel;
 pub(super) struct Arguments {
     #[command(flatten)]
     live: LiveArguments,
-    /// Model that the loop is tuned on; without it the nameplate of the bench file
-    #[arg(long, value_name = "MODEL")]
-    model: Option<PathBuf>,
-    /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
-    #[arg(long, value_name = "CONTROLLER", value_parser = controller)]
-    controller: Option<ControllerKind>,
-    /// off, on, or compare: the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
-    /// loop; compare follows the reference twice, without and with it, and shows both tracking errors. Overrides the bench file
-    #[arg(long, value_name = "USE", value_parser = forward_use)]
-    feed_forward: Option<ForwardUse>,
-    /// Friction or cogging as measured (`export --torque-map`, CSV), instead of the model's wherever it has a value; at most
-    /// one of each
-    #[arg(long, value_name = "MAP.csv")]
-    feed_forward_map: Vec<PathBuf>,
-    /// voltage, current or speed: the quantity that is commanded; overrides the bench file
-    #[arg(long, value_name = "QUANTITY", value_parser = actuator)]
-    actuator: Option<Actuator>,
+    #[command(flatten)]
+    own: LoopArguments,
     /// Refused, with the reason
     #[arg(long, hide = true)]
     escalate: bool,
+}
+
+/// The loop, where it differs from that of the bench file.
+#[derive(clap::Args, Default)]
+pub(crate) struct LoopArguments {
+    /// Model that the loop is tuned on; without it the nameplate of the bench file
+    #[arg(long, value_name = "MODEL")]
+    pub(crate) model: Option<PathBuf>,
+    /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
+    #[arg(long, value_name = "CONTROLLER", value_parser = controller)]
+    pub(crate) controller: Option<ControllerKind>,
+    /// off, on, or compare: the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
+    /// loop; compare follows the reference twice, without and with it, and shows both tracking errors. Overrides the bench file
+    #[arg(long, value_name = "USE", value_parser = forward_use)]
+    pub(crate) feed_forward: Option<ForwardUse>,
+    /// Friction or cogging as measured (`export --torque-map`, CSV), instead of the model's wherever it has a value; at most
+    /// one of each
+    #[arg(long, value_name = "MAP.csv")]
+    pub(crate) feed_forward_map: Vec<PathBuf>,
+    /// voltage, current or speed: the quantity that is commanded; overrides the bench file
+    #[arg(long, value_name = "QUANTITY", value_parser = actuator)]
+    pub(crate) actuator: Option<Actuator>,
 }
 
 fn controller(text: &str) -> Result<ControllerKind, String> {
@@ -89,11 +96,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let request = SpeedRequest {
         rig: live.options(false, terminal)?,
         source: live.source()?,
-        model: arguments.model,
-        controller: arguments.controller,
-        feed_forward: arguments.feed_forward,
-        maps: arguments.feed_forward_map,
-        actuator: arguments.actuator,
+        own: arguments.own,
     };
     let done = conduct(terminal, live.audience(None), move |controls| {
         speed(request, Box::new(Rig::open), controls)
@@ -110,13 +113,7 @@ pub(crate) struct SpeedRequest {
     pub rig: RigOptions,
     /// Name and text of the bench file, for its errors.
     pub source: (String, String),
-    /// Model that the loop is tuned on; `None`: the nameplate.
-    pub model: Option<PathBuf>,
-    pub controller: Option<ControllerKind>,
-    pub feed_forward: Option<ForwardUse>,
-    /// Measured torques that are fed forward instead of the model's, as written by `export --torque-map`.
-    pub maps: Vec<PathBuf>,
-    pub actuator: Option<Actuator>,
+    pub own: LoopArguments,
 }
 
 /// The result as JSON.
@@ -176,9 +173,10 @@ impl LoopParts {
             let help = "see [speed] in bench-configs/benches/zk-22fc-emulated.toml";
             return Err(Failure::usage(headline, help));
         };
-        section.controller = request.controller.unwrap_or(section.controller);
-        section.feed_forward = request.feed_forward.unwrap_or(section.feed_forward);
-        section.actuator = request.actuator.or(section.actuator);
+        let own = &request.own;
+        section.controller = own.controller.unwrap_or(section.controller);
+        section.feed_forward = own.feed_forward.unwrap_or(section.feed_forward);
+        section.actuator = own.actuator.or(section.actuator);
         let section = section.clone();
         let (file, text) = &request.source;
         bench.check_speed(file, text)?;
@@ -206,11 +204,11 @@ impl LoopParts {
         let reference = bench
             .reference(&section)
             .map_err(|error| Failure::usage(error.to_string(), "see [speed] of the bench file"))?;
-        let model = match &request.model {
+        let model = match &own.model {
             Some(path) => files::read_model(path)?,
             None => ModelFile { model: Model::baseline(motor.motor()), ..ModelFile::default() },
         };
-        let maps = maps(&request.maps, section.feed_forward)?;
+        let maps = maps(&own.feed_forward_map, section.feed_forward)?;
         let limits = bench.limits();
         if limits.quadrants < 4
             && let Some(speed) = reference.reverse_rad_s()
@@ -308,13 +306,14 @@ pub(crate) fn speed(
     regulator.reasons.extend(unchecked_encoder(&report, parts.actuator));
     regulator.reasons.extend(converter(&parts.limits));
     if rig.options.headless {
-        let by_nameplate = request.model.is_none();
+        let by_nameplate = request.own.model.is_none();
         print_loop(&report, delay.as_ref(), &regulator, by_nameplate, &rig.options.terminal);
     }
     let model =
-        request.model.map_or_else(|| NAMEPLATE.to_owned(), |path| path.display().to_string());
+        request.own.model.map_or_else(|| NAMEPLATE.to_owned(), |path| path.display().to_string());
     let rule = parts.section.rule(parts.actuator);
-    let maps: Vec<_> = request.maps.iter().map(|path| path.display().to_string()).collect();
+    let maps: Vec<_> =
+        request.own.feed_forward_map.iter().map(|path| path.display().to_string()).collect();
     let about = SpeedAbout {
         model: parts.model.to_toml(),
         manifest: json!({

@@ -1,7 +1,9 @@
 //! Findings of a diagnosis as blocks of a document: cards of effects, curves, candidates, the next run.
 
 use super::plot::{AxisChart, AxisPanel, Drawn, Place, PointSet, Style};
-use super::wording::{candidate, diagnosis as words, limits, location, next_run as run_words};
+use super::wording::{
+    candidate, diagnosis as words, limits, listed, location, next_run as run_words,
+};
 use super::{Cell, Document, Table};
 use drivebench_diagnose::{
     AxisMap, Candidate, CurvePoint, Diagnosis, EffectCurve, NextExperiment, Reached, Status,
@@ -74,9 +76,6 @@ pub fn effect_document(effect: &dyn Effect, judged: Option<&Candidate>) -> Docum
     document
 }
 
-/// Effects of a list that are shown, at most.
-const MOST_LISTED: usize = 4;
-
 /// Effects besides the named ones: possible, ruled out, and not shown by the runs.
 pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     document.section("Other effects");
@@ -147,18 +146,6 @@ pub fn open_questions(
         document.blocks.is_empty().then_some("none is needed: no further run would show more");
     document.labelled("next run", none.or(is_empty));
     document
-}
-
-/// Names in one line, the rest of them counted.
-fn listed(names: impl Iterator<Item = String>) -> Option<String> {
-    let names: Vec<String> = names.collect();
-    let more = names.len().saturating_sub(MOST_LISTED);
-    let shown = names.iter().take(MOST_LISTED).cloned().collect::<Vec<_>>().join(", ");
-    match (names.len(), more) {
-        (0, _) => None,
-        (_, 0) => Some(shown),
-        (_, more) => Some(format!("{shown} and {more} more")),
-    }
 }
 
 /// The error of an equation over its axis with the curve of the effect, and the error with the effect.

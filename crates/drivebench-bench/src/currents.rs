@@ -214,12 +214,9 @@ impl Currents {
             self.pair += usize::from(begins && self.phase != Phase::Rest);
             (self.phase, self.since_s) = (next, elapsed_s);
         }
-        let (level_a, _) = match self.phase {
-            Phase::Driven(_) => self.pairs[self.pair % self.pairs.len()],
-            _ => (level_a, turn_rad_s),
-        };
         match self.phase {
-            Phase::Driven(way) | Phase::Braking(way) => way * level_a,
+            Phase::Driven(way) => way * self.pairs[self.pair % self.pairs.len()].0,
+            Phase::Braking(way) => way * level_a,
             Phase::Rest | Phase::Coasting(_) | Phase::AtEnd => 0.0,
         }
     }

@@ -174,7 +174,7 @@ impl From<&Nameplate> for MotorSection {
 }
 
 /// The parameters of the baseline motor.
-const MODEL_KEYS: [MotorKey; 5] = [
+pub(super) const MODEL_KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
     MotorKey::Inductance,
     MotorKey::BackEmf,

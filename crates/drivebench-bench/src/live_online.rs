@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
+use super::limits::MODEL_KEYS;
 use crate::recording::Row;
 use drivebench_identify::online::{Frozen, Online, OnlineConfig};
 use drivebench_identify::recursive::{Memory, StartValues};
@@ -179,14 +180,7 @@ impl LiveEstimator for RowEstimator {
 
     fn excitation(&self) -> Excitation {
         // Mechanics are linear in Kt/J and Mc/J: their excitation is that of J and Mc.
-        const KEYS: [MotorKey; 5] = [
-            MotorKey::Resistance,
-            MotorKey::Inductance,
-            MotorKey::BackEmf,
-            MotorKey::Inertia,
-            MotorKey::LoadTorque,
-        ];
-        KEYS.map(MotorKey::key).into_iter().zip(self.online().excitation()).collect()
+        MODEL_KEYS.map(MotorKey::key).into_iter().zip(self.online().excitation()).collect()
     }
 }
 

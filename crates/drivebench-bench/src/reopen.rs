@@ -86,12 +86,15 @@ pub struct ReopenOptions<'a> {
     pub seed: u64,
 }
 
+/// Opens the link anew.
+type Open<'a> = &'a mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>;
+
 /// Searches until the drive is found, the time is over or the user ends it; `open` opens the link anew. Returns the link only
 /// of the same drive.
 pub fn reopen<'a>(
     bench: ReopenBench<'a>,
     options: &'a ReopenOptions<'a>,
-    open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
+    open: Open<'_>,
 ) -> (Reopened, Option<Box<dyn DriveLink>>) {
     let now_s = bench.clock.now_s();
     let mut search = Search {
@@ -122,10 +125,7 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    fn search(
-        &mut self,
-        open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
-    ) -> (Reopened, Option<Box<dyn DriveLink>>) {
+    fn search(&mut self, open: Open<'_>) -> (Reopened, Option<Box<dyn DriveLink>>) {
         let lost = self
             .event("link_lost")
             .with("link", self.options.link)
@@ -185,10 +185,7 @@ impl Search<'_> {
         }
     }
 
-    fn attempt(
-        &mut self,
-        open: &mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>,
-    ) -> Attempt {
+    fn attempt(&mut self, open: Open<'_>) -> Attempt {
         let mut link = match open() {
             Ok(link) => link,
             Err(error @ LinkError::Identity { .. }) => {

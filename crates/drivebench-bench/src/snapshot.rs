@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::limits::Nameplate;
+use super::limits::{MODEL_KEYS, Nameplate};
 use super::live_online::Excitation;
 use super::plan::under_voltage;
 use super::session::{Notice, Phase, Session};
@@ -13,7 +13,7 @@ use super::timing::Timing;
 use super::trip::Trip;
 use drivebench_identify::online::Frozen;
 use drivebench_link::{Identity, LinkStatistics};
-use drivebench_model::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
+use drivebench_model::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
 use drivebench_model::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
 /// Emulator or hardware: shown on every screen.
@@ -268,7 +268,7 @@ impl ModelTrace {
     /// Takes over estimates once every one of the five is settled.
     fn adopt(&mut self, estimates: &[ParameterEstimate]) {
         let mut motor = self.motor.clone();
-        for key in MotorKey::ALL.into_iter().filter(|key| *key != MotorKey::TorqueConstant) {
+        for key in MODEL_KEYS {
             match ParameterEstimate::find(estimates, key.key()) {
                 Some(ParameterEstimate {
                     verdict: Verdict::Settled, value: Some(value), ..

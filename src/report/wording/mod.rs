@@ -43,6 +43,18 @@ pub const fn unit(source: FloorSource) -> &'static str {
     }
 }
 
+/// Names of a list that are given.
+const MOST_NAMES: usize = 4;
+
+/// Names in one line, the rest of them counted; `None` without one.
+pub(super) fn listed(names: impl Iterator<Item = String>) -> Option<String> {
+    let names: Vec<String> = names.collect();
+    let (given, rest) = names.split_at(names.len().min(MOST_NAMES));
+    let given = given.join(", ");
+    let text = if rest.is_empty() { given } else { format!("{given} and {} more", rest.len()) };
+    (!names.is_empty()).then_some(text)
+}
+
 /// The codes of all findings in JSON, by what they are of.
 pub const CODES: &[(&str, &[&str])] = &[
     ("diagnosis", diagnose::Answer::CODES),

@@ -1,11 +1,9 @@
 //! The recommended run.
 
+use super::listed;
 use drivebench_diagnose::{FasterRun, Hidden, HiddenReason, NextExperiment, Recommendation};
 use drivebench_model::plant::effect;
 use drivebench_model::text::number::significant;
-
-/// Names of a list that are given; the rest is counted.
-const MOST_NAMES: usize = 4;
 
 /// What to run, why, and what it will show.
 pub fn next_run(next: &NextExperiment) -> String {
@@ -15,18 +13,22 @@ pub fn next_run(next: &NextExperiment) -> String {
             pairs(next) + &faster.as_ref().map_or_else(String::new, with_faster)
         }
         Recommendation::Shows => {
-            let shown = list(next.reveals.iter().map(|id| name(id).to_owned()));
+            let shown = listed(next.reveals.iter().map(|id| name(id).to_owned()));
+            let shown = shown.unwrap_or_default();
             let text = format!("these runs would not have shown {shown}; run {}", described(next));
             if next.hidden.is_empty() {
                 return text;
             }
             let hidden = next.hidden.iter().map(|own| name(own.effect).to_owned());
-            format!("{text}; it still does not show {}", list(hidden))
+            format!("{text}; it still does not show {}", listed(hidden).unwrap_or_default())
         }
         Recommendation::ShowsNothingMore => {
             let hidden = next.hidden.iter();
             let words = hidden.map(|own| format!("{} ({})", name(own.effect), hidden_reason(own)));
-            format!("no further run within the limits would show more; not shown: {}", list(words))
+            format!(
+                "no further run within the limits would show more; not shown: {}",
+                listed(words).unwrap_or_default()
+            )
         }
     }
 }
@@ -131,13 +133,6 @@ fn name(id: &'static str) -> &'static str {
 /// A prediction has two significant digits.
 fn figure(value: f64) -> String {
     significant(value, 2)
-}
-
-fn list(names: impl ExactSizeIterator<Item = String>) -> String {
-    let more = names.len().saturating_sub(MOST_NAMES);
-    let given: Vec<String> = names.take(MOST_NAMES).collect();
-    let given = given.join(", ");
-    if more > 0 { format!("{given} and {more} more") } else { given }
 }
 
 #[cfg(test)]

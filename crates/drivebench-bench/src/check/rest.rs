@@ -8,6 +8,7 @@ use crate::limits::Limits;
 use crate::timing::quantile;
 use drivebench_control::Actuator;
 use drivebench_identify::belief::Settings;
+use drivebench_model::numerics::statistics::{mean, variance};
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 use drivebench_model::text::number::with_std;
 
@@ -277,14 +278,9 @@ impl Checker<'_> {
                 // A stamp, not a signal with noise.
                 continue;
             }
-            let mean = values.iter().sum::<f64>() / values.len() as f64;
-            let square: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-            self.report.noise.push(NoiseFloor {
-                channel,
-                mean,
-                std: (square / (values.len().max(2) - 1) as f64).sqrt(),
-                samples: values.len(),
-            });
+            // One value has no deviation.
+            let (mean, std) = (mean(&values), variance(&values).max(0.0).sqrt());
+            self.report.noise.push(NoiseFloor { channel, mean, std, samples: values.len() });
         }
         let wanted = [Channel::Current, Channel::Speed, Channel::Voltage];
         let figure = |floor: &NoiseFloor| {

@@ -67,10 +67,6 @@ fn escalated(bench: &BenchFile, config: &EmulatorConfig, seed: u64) -> Done {
     Done { escalation, outcomes, peak_a: watched.by.peak_a, peak_rad_s: watched.by.peak_rad_s }
 }
 
-fn named(emulator: &str) -> Done {
-    escalated(&unknown_bench(), &EmulatorConfig::embedded(emulator).unwrap(), 3)
-}
-
 /// The embedded bench with only the rated values of the motor.
 fn unknown_bench() -> BenchFile {
     let mut bench = BenchFile::embedded_default();
@@ -102,29 +98,16 @@ fn report(done: &Done) -> String {
 const FOUND: [MotorKey; 3] = [MotorKey::Resistance, MotorKey::BackEmf, MotorKey::Inertia];
 
 #[test]
-fn a_locked_rotor_and_an_open_phase_are_named() {
-    let done = named("zk-22fc-locked");
+fn a_locked_rotor_gets_little_more_than_its_rated_current() {
+    let config = EmulatorConfig::embedded("zk-22fc-locked").unwrap();
+    let done = escalated(&unknown_bench(), &config, 3);
     let report = report(&done);
-    let Some(Outcome::Named(ending @ Ending::LockedRotor { current_a, .. })) =
-        done.escalation.outcome()
+    let Some(Outcome::Named(Ending::LockedRotor { current_a, .. })) = done.escalation.outcome()
     else {
         panic!("{report}");
     };
     within(*current_a, 0.85 * 5.7..1.3 * 5.7);
-    let sentence = ending.sentence();
-    assert!(sentence.starts_with("locked rotor"), "{sentence}");
     assert!(done.peak_a < 1.3 * 5.7, "{report}");
-
-    let done = named("zk-22fc-open");
-    let Some(Outcome::Named(ending)) = done.escalation.outcome() else {
-        panic!("{report}");
-    };
-    let Ending::OpenPhase { voltage_v, below_a, .. } = ending else {
-        panic!("{}", ending.sentence());
-    };
-    within(*voltage_v, 27.4..27.6);
-    within(*below_a, ..0.2);
-    assert!(done.outcomes.iter().all(|outcome| *outcome == RunOutcome::Done));
 }
 
 #[test]
