@@ -172,11 +172,9 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
         points: (points.iter().map(|p| Place::new(p.at, p.mean, p.std))).collect(),
     };
     // Without an effect the points have no label.
+    let alone = |style, drawn| (Default::default(), vec![of("", style, drawn, &curve.points)]);
     let (line, sets) = match curve.effect {
-        _ if curve.is_unexplained() => {
-            let knots = of("", Style::After, Drawn::Knots, &curve.points);
-            ((String::new(), Vec::new()), vec![knots])
-        }
+        _ if curve.is_unexplained() => alone(Style::After, Drawn::Knots),
         Some(effect) => (
             (format!("{effect} at its size"), curve.line.clone()),
             vec![
@@ -184,9 +182,7 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
                 of("with it", Style::After, Drawn::Apart, &curve.with_it),
             ],
         ),
-        None => {
-            ((String::new(), Vec::new()), vec![of("", Style::Before, Drawn::Apart, &curve.points)])
-        }
+        None => alone(Style::Before, Drawn::Apart),
     };
     AxisChart {
         axis: location::axis_label(curve),

@@ -29,6 +29,15 @@ impl Page {
         let _ = writeln!(self.0, "{text}");
     }
 
+    /// A header after a blank line, under a comment; an empty one is none.
+    fn section(&mut self, header: &str, comment: &str) {
+        self.line("");
+        if !comment.is_empty() {
+            self.comment(comment);
+        }
+        self.line(header);
+    }
+
     /// A value with its reason after it, or above it where the line would be too long.
     fn value(&mut self, key: &str, value: &str, reason: &str) {
         let one_line = format!("{key} = {value}  # {reason}");
@@ -66,9 +75,8 @@ pub(super) fn text(
     drive(&mut page, request, bench);
     link(&mut page, request, bench, reasons);
     motor(&mut page, request, bench);
-    page.line("");
-    page.comment("Crossing one ends the run at zero output; nothing starts again by itself.");
-    page.line("[limits]");
+    let comment = "Crossing one ends the run at zero output; nothing starts again by itself.";
+    page.section("[limits]", comment);
     for (key, unit, _) in bench.limits.clone().rows() {
         let whole = format!("limits.{key}");
         let Some(found) = reason_of(reasons, &whole) else {
@@ -94,8 +102,7 @@ fn reason_of<'a>(reasons: &'a [Reasoned], key: &str) -> Option<&'a Reasoned> {
 
 fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     let profile = request.profile;
-    page.line("");
-    page.line("[drive]");
+    page.section("[drive]", "");
     page.comment(&profile.provenance());
     let readback = &request.readback;
     if readback.is_offline {
@@ -124,8 +131,7 @@ fn drive(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
 }
 
 fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: &[Reasoned]) {
-    page.line("");
-    page.line("[link]");
+    page.section("[link]", "");
     let reason = match (bench.port(), request.port_reason) {
         (_, reason) if !reason.is_empty() => reason,
         (Port::Emulator, _) => "the software drive behind a pseudo-terminal, in real time",
@@ -152,10 +158,8 @@ fn link(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile, reasons: 
 
 fn motor(page: &mut Page, request: &InitRequest<'_>, bench: &BenchFile) {
     let motor = &bench.motor;
-    page.line("");
     let file = request.motor_file;
-    page.comment(&format!("The nameplate, taken over from {file}."));
-    page.line("[motor]");
+    page.section("[motor]", &format!("The nameplate, taken over from {file}."));
     page.line(&format!("name = {:?}", motor.name));
     if motor.unknown {
         page.value(
@@ -202,9 +206,7 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
     let Some(speed) = &bench.speed else {
         return;
     };
-    page.line("");
-    page.comment("What `drivebench speed` does, under the same limits.");
-    page.line("[speed]");
+    page.section("[speed]", "What `drivebench speed` does, under the same limits.");
     let why = if speed.controller.id() == "pi" {
         "fixed gains: the parameters that others adapt to are not observable through the drive's own loop"
     } else {
@@ -219,12 +221,9 @@ fn speed(page: &mut Page, bench: &BenchFile, reasons: &[Reasoned]) {
         );
     }
     let reason = reason_of(reasons, "speed.reference");
+    let comment = reason.map(|reason| format!("Speeds in rad/s: {}.", reason.reason));
     for part in &speed.reference {
-        page.line("");
-        if let Some(reason) = reason {
-            page.comment(&format!("Speeds in rad/s: {}.", reason.reason));
-        }
-        page.line("[[speed.reference]]");
+        page.section("[[speed.reference]]", comment.as_deref().unwrap_or_default());
         page.line(&inline(part));
     }
 }
@@ -247,8 +246,7 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
         page.comment("The excitation, made to fit the motor once it has been found.");
     }
     for segment in &bench.sequence {
-        page.line("");
-        page.comment(match segment {
+        let comment = match segment {
             Segment::Standstill(_) => "Noise floor and sensor offsets.",
             Segment::Steps(_) => {
                 "Resistance, back-EMF and inertia; both signs separate friction from an offset."
@@ -259,16 +257,14 @@ fn sequence(page: &mut Page, bench: &BenchFile, purpose: InitUse, plan: Option<&
             Segment::Chirp(_) => "Every frequency once: resonances.",
             Segment::Staircase(_) => "Level by level.",
             Segment::CoastDown(_) => "Output off.",
-        });
-        page.line("[[sequence]]");
+        };
+        page.section("[[sequence]]", comment);
         page.line(&inline(segment));
     }
 }
 
 fn currents_section(page: &mut Page, currents: &CurrentsSection, reason: &str) {
-    page.line("");
-    page.comment(&format!("{}.", capitalised(reason)));
-    page.line("[currents]");
+    page.section("[currents]", &format!("{}.", capitalised(reason)));
     for (key, value, meaning) in [
         ("levels_a", format!("{:?}", currents.levels_a), "A, either sign"),
         ("turn_rad_s", format!("{:?}", currents.turn_rad_s), "rad/s at which the current reverses"),

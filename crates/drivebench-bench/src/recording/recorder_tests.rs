@@ -4,7 +4,7 @@ use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
 use super::*;
 use crate::recording::csv_cells::whole_rows;
 use crate::recording::{MemoryRecorder, ReadOptions, open_run, run_from_memory};
-use drivebench_model::sample::{Applied, Channel, Command, Demand, Origin};
+use drivebench_model::sample::{Applied, Channel, Origin};
 
 fn layout() -> Layout {
     Layout::of_drive(&[Channel::VoltageCmd, Channel::Current, Channel::Speed])
@@ -15,11 +15,7 @@ fn drive(recorder: &mut dyn Record, cycles: u32) {
     for cycle in 0..cycles {
         let seq = u64::from(cycle) + 1;
         let time_s = f64::from(cycle) * 0.01;
-        recorder.command(&CommandRow {
-            command: Command { seq, demand: Demand::Voltage(f64::from(cycle % 7)) },
-            time_s,
-            reference_rad_s: None,
-        });
+        recorder.command(&CommandRow::volts(seq, time_s, f64::from(cycle % 7)));
         let mut sample = Sample::at(time_s + 0.004)
             .with(Channel::Current, f64::from(cycle) * 0.1)
             .with(Channel::Speed, -f64::from(cycle));
@@ -294,11 +290,7 @@ fn write_until_killed(root: &std::path::Path) {
     let mut handed = 0;
     for seq in 1..1_000_000_u32 {
         let (time_s, seq) = (f64::from(seq), u64::from(seq));
-        recorder.command(&CommandRow {
-            command: Command { seq, demand: Demand::Voltage(time_s) },
-            time_s,
-            reference_rad_s: None,
-        });
+        recorder.command(&CommandRow::volts(seq, time_s, time_s));
         let mut sample = Sample::at(time_s + 0.5).with(Channel::Current, (time_s + 0.5) / 3.0);
         sample.seq = Some(seq);
         sample.applied = Some(Applied { seq, time_s: time_s + 0.25 });

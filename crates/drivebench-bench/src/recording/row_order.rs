@@ -23,6 +23,14 @@ pub struct CommandRow {
     pub reference_rad_s: Option<f64>,
 }
 
+#[cfg(test)]
+impl CommandRow {
+    pub(super) fn volts(seq: u64, time_s: f64, volts: f64) -> Self {
+        let command = Command { seq, demand: Demand::Voltage(volts) };
+        Self { command, time_s, reference_rad_s: None }
+    }
+}
+
 /// Orders the rows; its state is the waiting commands and the time of the last row.
 #[derive(Clone, Debug)]
 pub struct RowOrder {
@@ -213,14 +221,6 @@ mod tests {
         Layout::of_drive(&[Channel::VoltageCmd, Channel::Current])
     }
 
-    fn volts(seq: u64, time_s: f64, volts: f64) -> CommandRow {
-        CommandRow {
-            command: Command { seq, demand: Demand::Voltage(volts) },
-            time_s,
-            reference_rad_s: None,
-        }
-    }
-
     fn sample(time_s: f64, applied: Option<(u64, f64)>) -> Sample {
         let mut sample = Sample::at(time_s).with(Channel::Current, 1.0);
         sample.applied = applied.map(|(seq, time_s)| Applied { seq, time_s });
@@ -274,7 +274,7 @@ a sample that is not new is counted and left out | take 0.1, take 0.1, take 0.05
                 let seq = |text: &str| text.parse().unwrap();
                 let rows = match words[..] {
                     ["send", own, time_s, value] => {
-                        order.command(volts(seq(own), number(time_s), number(value)));
+                        order.command(CommandRow::volts(seq(own), number(time_s), number(value)));
                         continue;
                     }
                     ["take", time_s] => order.sample(&sample(number(time_s), None)),
@@ -296,7 +296,7 @@ a sample that is not new is counted and left out | take 0.1, take 0.1, take 0.05
         let mut order = RowOrder::new(Layout::plain(&[Channel::Reference, Channel::VoltageCmd]));
         for (seq, demand) in [(1, Demand::Speed(50.0)), (2, Demand::Stop)] {
             let command = Command { seq, demand };
-            order.command(CommandRow { command, ..volts(seq, seq as f64, 0.0) });
+            order.command(CommandRow { command, ..CommandRow::volts(seq, seq as f64, 0.0) });
         }
         let rows = order.sample(&Sample::at(5.0));
         assert_eq!(rows.len(), 3);
@@ -329,7 +329,7 @@ a sample that is not new is counted and left out | take 0.1, take 0.1, take 0.05
             let mut samples = 0;
             for (step_s, applied_ago_s, behind, stamped) in steps {
                 commands += 1;
-                order.command(volts(u64::from(commands), time_s, f64::from(commands)));
+                order.command(CommandRow::volts(u64::from(commands), time_s, f64::from(commands)));
                 time_s += step_s;
                 samples += 1;
                 let stamp = (u64::from(commands).saturating_sub(behind), time_s - applied_ago_s);

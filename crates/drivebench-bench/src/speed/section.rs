@@ -223,15 +223,9 @@ mod tests {
         section(ReferencePart::Constant { speed_rad_s, seconds: 1.0 })
     }
 
-    fn nameplate() -> (Nameplate, Limits) {
-        let motor = Nameplate::zk_22fc();
-        let limits = Limits::for_motor(&motor, 100.0);
-        (motor, limits)
-    }
-
     #[test]
     fn a_reference_beyond_a_limit_is_refused_with_it() {
-        let (motor, mut limits) = nameplate();
+        let (motor, mut limits) = (Nameplate::zk_22fc(), Limits::zk_22fc());
         let at = |speed, limits: &Limits| constant(speed).reference(limits, Some(&motor));
         assert!(at(-300.0, &limits).is_ok());
         // (110 V - 1.1 ohm 0.455 N.m/Kt)/Ke
@@ -242,7 +236,7 @@ mod tests {
 
     #[test]
     fn a_comparison_follows_the_reference_twice() {
-        let (motor, limits) = nameplate();
+        let (motor, limits) = (Nameplate::zk_22fc(), Limits::zk_22fc());
         let mut section =
             section(ReferencePart::Ramp { from_rad_s: 20.0, to_rad_s: 80.0, seconds: 3.0 });
         section.feed_forward = ForwardUse::Compare;
@@ -272,7 +266,7 @@ mod tests {
 
     #[test]
     fn a_current_beyond_the_guard_is_refused() {
-        let (_, limits) = nameplate();
+        let limits = Limits::zk_22fc();
         let mut section = constant(10.0);
         assert_eq!(section.refused(&limits), None);
         near(section.current_limit_a(5.7, &limits), 8.55, 1e-12);
