@@ -382,9 +382,9 @@ mod tests {
                 // But for the 0.6 W that the converter consumes.
                 near(braking.voltage(speed, wanted), emf, 0.01);
             }
-            assert!((braking.voltage(speed, 1.2 * emf) - 1.2 * emf).abs() < 1e-9);
-            assert!(braking.current(speed, -speed.signum()).abs() < 0.01);
-            assert!((braking.current(speed, speed.signum()) - speed.signum()).abs() < 1e-12);
+            near(braking.voltage(speed, 1.2 * emf), 1.2 * emf, 1e-9);
+            near(braking.current(speed, -speed.signum()), 0.0, 0.01);
+            near(braking.current(speed, speed.signum()), speed.signum(), 1e-12);
         }
     }
 
@@ -394,13 +394,12 @@ mod tests {
         let (speed, emf) = (200.0, 0.3538 * 200.0);
         let volts = braking.voltage(speed, 0.0);
         let amps = (volts - emf) / 1.1;
-        assert!((volts * amps + 60.0).abs() < 1e-6, "{volts} V {amps} A");
-        assert!((braking.current(speed, -10.0) - amps).abs() < 1e-9);
+        near(volts * amps, -60.0, 1e-6);
+        near(braking.current(speed, -10.0), amps, 1e-9);
         // At low speed the winding dissipates all of it: e^2 < 4 R P.
-        assert!((braking.voltage(20.0, 0.0)).abs() < 1e-12);
+        near(braking.voltage(20.0, 0.0), 0.0, 1e-12);
         assert_eq!(braking.deceleration(20.0), None);
-        let fall = braking.deceleration(speed).unwrap();
-        let expected = (0.455 - 0.3538 * amps) / 0.0045;
-        assert!((fall - expected).abs() < 1e-6, "{fall}");
+        let fall = (0.455 - 0.3538 * amps) / 0.0045;
+        near(braking.deceleration(speed).unwrap(), fall, 1e-6);
     }
 }

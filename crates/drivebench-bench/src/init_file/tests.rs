@@ -19,12 +19,12 @@ fn readback() -> Readback {
     }
 }
 
-fn request<'a>(
-    profile: &'a DriveProfile,
-    motor: &'a MotorSection,
+fn made_for(
+    profile: &DriveProfile,
+    motor: &MotorSection,
     readback: Readback,
-) -> InitRequest<'a> {
-    InitRequest {
+) -> Result<InitFile, InitError> {
+    init_file(&InitRequest {
         profile,
         drive: &profile.name,
         port: "/dev/ttyUSB0",
@@ -32,11 +32,11 @@ fn request<'a>(
         motor,
         motor_file: "motor.toml",
         readback,
-    }
+    })
 }
 
 fn made(profile: &str, motor: &MotorSection, readback: Readback) -> Result<InitFile, InitError> {
-    init_file(&request(&DriveProfile::named(profile).unwrap(), motor, readback))
+    made_for(&DriveProfile::named(profile).unwrap(), motor, readback)
 }
 
 fn reason<'a>(file: &'a InitFile, key: &str) -> &'a Reasoned {
@@ -205,18 +205,15 @@ fn a_request_that_no_drive_or_motor_fits_is_refused() {
 
 #[test]
 fn every_line_gets_a_rate_that_it_carries() {
-    for (profile, least, most) in
-        [("own", 60.0, 100.0), ("own-stream", 200.0, 500.0), ("epulse50-dc", 10.0, 29.0)]
-    {
-        let rate_hz = made(profile, &nameplate(), readback()).unwrap().bench.link.rate_hz;
-        assert!((least..=most).contains(&rate_hz), "{profile}: {rate_hz} Hz");
-    }
-    let mut slow = DriveProfile::named("own").unwrap();
+    let [own, stream, epulse] =
+        ["own", "own-stream", "epulse50-dc"].map(|name| DriveProfile::named(name).unwrap());
+    let mut slow = own.clone();
     slow.link.baud = 9600;
-    within(
-        init_file(&request(&slow, &nameplate(), readback())).unwrap().bench.link.rate_hz,
-        ..20.0,
-    );
+    for (profile, rates_hz) in
+        [(own, 60.0..100.1), (stream, 200.0..500.1), (epulse, 10.0..29.1), (slow, 0.0..20.0)]
+    {
+        within(made_for(&profile, &nameplate(), readback()).unwrap().bench.link.rate_hz, rates_hz);
+    }
 }
 
 #[test]
@@ -262,8 +259,7 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
     map.watchdog.keys.set_ms = Some(800.0);
     profile.registers = Some(map.into());
     let silent = Readback { watchdog_s: Some(0.0), ..readback() };
-    let motor = nameplate();
-    let file = init_file(&request(&profile, &motor, silent)).unwrap();
+    let file = made_for(&profile, &nameplate(), silent).unwrap();
     let silence = reason(&file, "limits.link_silence_s");
     assert_eq!(silence.value, Some(0.72));
     has(&silence.reason, "0.8 s (set by the profile");

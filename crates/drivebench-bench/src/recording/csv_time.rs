@@ -182,8 +182,8 @@ impl TextClock {
         let parts = date_parts(text)?;
         let days = if let Some((_, before, days)) = &self.date {
             let steps = self.orders.iter().filter_map(|order| {
-                let step =
-                    days_between(in_order(*before, *order)?, in_order(parts.numbers, *order)?);
+                let (from, to) = (in_order(*before, *order)?, in_order(parts.numbers, *order)?);
+                let step = to.duration_since(from).as_hours() / 24;
                 Some((step < 0, step.abs(), step, *order))
             });
             let best = steps.clone().min()?;
@@ -204,10 +204,6 @@ impl TextClock {
         self.date = Some((text.to_owned(), parts.numbers, days));
         Some(days)
     }
-}
-
-fn days_between(from: Date, to: Date) -> i64 {
-    to.duration_since(from).as_hours() / 24
 }
 
 fn in_order(numbers: [u16; 3], order: usize) -> Option<Date> {
