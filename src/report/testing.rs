@@ -129,6 +129,7 @@ pub(crate) fn diagnosis() -> Diagnosis {
         limits: vec![Limit::RepeatUnknown(RepeatUnknown::RowsLost)],
         equivalences: Vec::new(),
         next_experiment: None,
+        winding_drop: None,
         unknown: Vec::new(),
         superfluous: Vec::new(),
         added_rivals: Vec::new(),

@@ -6,17 +6,17 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 29_700),
+    ("crates/drivebench-bench", 29_190),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 22_060),
+    ("crates/drivebench-diagnose", 22_240),
     ("crates/drivebench-emulator", 13_230),
-    ("crates/drivebench-identify", 24_040),
+    ("crates/drivebench-identify", 24_090),
     ("crates/drivebench-link", 18_890),
     ("crates/drivebench-model", 17_560),
     ("crates/drivebench-studies", 10_200),
     ("firmware-protocol", 5_010),
-    ("src/commands", 15_060),
-    ("src/report", 9_130),
+    ("src/commands", 14_890),
+    ("src/report", 9_125),
     ("src/runtime", 2_950),
     ("src/tui", 8_020),
     ("src/workflow", 5_040),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 741;
+const MOST_NUMERIC_CONSTANTS: usize = 742;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::candidates::{Candidate, Status, candidates};
+use super::candidates::{Candidate, CandidateFinding, Status, candidates};
 use super::evidence::{Evidence, HoldoutFrom};
 use super::floor::{Floor, Repeatability, SUFFICIENT_SHARE};
 use super::joint::Noise;
@@ -19,6 +19,7 @@ use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate};
 use super::trivial::{self, TrivialPrediction};
 use super::vetoes;
+use super::winding_drop::{self, WindingDrop};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::{self, FitError};
 use drivebench_model::findings;
@@ -103,6 +104,9 @@ pub struct Diagnosis {
     pub candidates: Vec<Candidate>,
     /// Error that no effect explains, by the variable on which it depends.
     pub unknown: Vec<Unknown>,
+    /// A drop that the voltage balance of a controlled current names.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub winding_drop: Option<WindingDrop>,
     /// Pairs that these runs do not distinguish, the one in the answer first.
     pub confusable: Vec<[&'static str; 2]>,
     pub ladder: Vec<Rung>,
@@ -172,8 +176,35 @@ impl Diagnosis {
         let confirm = self.confirm.as_ref().and_then(|run| run.error_before);
         let is_noise = |error: f64| error <= AT_MOST_NOISE;
         self.noise_floor_from != FloorSource::None
+            && self.winding_drop.is_none()
             && is_noise(self.holdout_before)
             && confirm.is_none_or(is_noise)
+    }
+
+    /// Adds a drop by the voltage balance to the answer of the torques.
+    fn name_drop(&mut self, drop: WindingDrop) {
+        let parameters = drop.add_to(&mut self.model.model);
+        let id = winding_drop::ID;
+        if self.verdict == DiagnosisVerdict::None {
+            self.verdict = DiagnosisVerdict::Effect;
+            if let (Some(confirm), Some(z)) = (&mut self.confirm, drop.confirm_z) {
+                confirm.z = Some(z);
+                confirm.confirmed = confirm.confirmed.map(|holds| holds && z >= CONFIRMED_SIGMAS);
+            }
+        }
+        self.effect.get_or_insert(id);
+        self.effects.push(id);
+        self.limits.retain(|limit| !matches!(limit, Limit::ConstantDrop { .. }));
+        if let Some(own) = self.candidates.iter_mut().find(|own| own.effect == id) {
+            (own.status, own.probability) = (Status::Supported, 1.0);
+            own.parameters.clone_from(&parameters);
+            own.finding = CandidateFinding::Named {
+                floor: self.noise_floor_from,
+                holdout_from: self.holdout_from,
+            };
+        }
+        self.model.parameters.extend(parameters);
+        self.winding_drop = Some(drop);
     }
 
     /// Whether every effect is ruled out.
@@ -432,6 +463,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         holdout_after: best.score.nrms,
         candidates,
         unknown: inference.unknown.clone(),
+        winding_drop: None,
         confusable: inference.confusable.clone(),
         axis_map,
         ladder: rungs.iter().map(Standing::rung).collect(),
@@ -464,6 +496,9 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
         return not_fitted(diagnosis, reason, base);
     }
     diagnosis.confirm = confirmed(bench, &diagnosis, inference.noise, in_motion);
+    if let Some(drop) = WindingDrop::find(&base.fit.model, evidence) {
+        diagnosis.name_drop(drop);
+    }
     diagnosis.sufficient &= !(verdict == DiagnosisVerdict::None && diagnosis.is_refuted());
     diagnosis
 }
@@ -537,7 +572,13 @@ fn verdict(
     let evidence = &bench.evidence;
     let is_known = evidence.noise.source != FloorSource::None;
     let floor = inference.floor(evidence);
-    let at_floor = floor.is_reached(base.nrms / in_motion);
+    // Of a search that was cut the model is not that of the best set: only the sensors' noise needs no explanation.
+    let left = base.nrms / in_motion;
+    let at_floor = if inference.is_cut() {
+        evidence.noise.is_at(AT_MOST_NOISE, left)
+    } else {
+        floor.is_reached(left)
+    };
     let Some(first) = inference.named.first() else {
         return if inference.unknown.is_empty() && (at_floor || !is_known) {
             DiagnosisVerdict::None

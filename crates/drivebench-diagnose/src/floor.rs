@@ -18,6 +18,9 @@ const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
 /// Ratio of the largest error by gaps of a record in one run to their mean error: a few gaps make most of it.
 pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
 
+/// Largest error by stamps that counts as noise, in units of the sensors': under a wrong inductance stamps seem to explain anything.
+const MOST_BY_STAMPS: f64 = 2.0;
+
 /// Noise floor of a free run's error, in units of the sensors' noise.
 #[derive(Clone, Copy)]
 pub(super) struct Floor<'a> {
@@ -35,7 +38,7 @@ impl<'a> Floor<'a> {
         if self.evidence.noise.source == FloorSource::None {
             0.0
         } else {
-            1.0_f64.hypot(self.unpredicted.stamps).hypot(unobserved)
+            1.0_f64.hypot(self.unpredicted.stamps.min(MOST_BY_STAMPS)).hypot(unobserved)
         }
     }
 

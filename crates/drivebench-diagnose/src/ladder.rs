@@ -19,6 +19,7 @@ use super::progress::{Event, Progress, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate, parameters_of};
 use super::trivial::{self, TrivialPrediction};
 use super::vetoes::{self, Veto, VetoReason};
+use super::winding_drop::{self, WindingDrop};
 use super::work::iterations_of;
 use drivebench_identify::claims::without_current;
 use drivebench_identify::noise::NoiseFloor;
@@ -565,7 +566,15 @@ pub fn add(
     } else {
         before.clone()
     };
-    change(effect, &bench, &inference, [before, after], true)
+    let mut result = change(effect, &bench, &inference, [before, after], true)?;
+    let drop = (id == winding_drop::ID).then(|| WindingDrop::find(model, &bench.evidence));
+    if let Some(drop) = drop.flatten() {
+        result.parameters = drop.add_to(&mut result.fit.model);
+        result.fit.parameters.extend(result.parameters.iter().cloned());
+        (result.accepted, result.refused, result.probability) = (true, None, 1.0);
+        result.finding = ChangeFinding::There { rivals: Vec::new() };
+    }
+    Ok(result)
 }
 
 /// Refits `model` without `effect`; refused where the runs show it.

@@ -38,6 +38,7 @@ mod traces;
 mod trivial;
 mod versus;
 mod vetoes;
+mod winding_drop;
 mod work;
 
 pub use candidates::{Candidate, CandidateFinding, Status};
@@ -73,6 +74,7 @@ pub use traces::{Part, Quantity, RecordedChannels, RunTraces, SignalTrace, Trace
 pub use trivial::TrivialPrediction;
 pub use versus::{Better, SignalVersus, Versus, VersusFinding, versus};
 pub use vetoes::{VetoReason, WhyUnexplained};
+pub use winding_drop::WindingDrop;
 
 #[cfg(test)]
 mod event_tests;

@@ -24,16 +24,39 @@ pub struct Winding {
     pub parameters: Vec<ParameterEstimate>,
     /// `U0` with its standard deviation, V.
     pub drop_v: (f64, f64),
+    /// `R`, `Ke` and `U0`, and the first two of the fit without the drop.
+    with_drop: [f64; 3],
+    without_drop: [f64; 2],
 }
 
-/// `None` where the run has no voltage with a commanded current, or too few rows of it.
-pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
+impl Winding {
+    /// Root mean square errors of the voltage in another run, V: without the drop and with it.
+    pub fn errors_v(&self, run: &Scenario) -> Option<[f64; 2]> {
+        let rows = rows_of(run).cells;
+        let rms = |values: [f64; 3]| {
+            let error = |[amperes, speed, sign, volts]: &[f64; 4]| {
+                volts - values[0] * amperes - values[1] * speed - values[2] * sign
+            };
+            (rows.iter().map(|row| error(row).powi(2)).sum::<f64>() / rows.len() as f64).sqrt()
+        };
+        let [r, ke] = self.without_drop;
+        (!rows.is_empty()).then(|| [rms([r, ke, 0.0]), rms(self.with_drop)])
+    }
+}
+
+/// Rows between the steps: current, speed, sign of the current and voltage; the step before each, and the rate of the speed.
+struct Rows {
+    cells: Vec<[f64; 4]>,
+    steps: Vec<usize>,
+    rates: Vec<f64>,
+}
+
+fn rows_of(scenario: &Scenario) -> Rows {
     let times = &scenario.sample_time_s;
     let period_s = median_step(times);
     let least_a = RELEASED * largest(scenario.events.iter().map(|event| event.1));
     let steps_s = &scenario.current_steps_s;
-    // Regressors and voltage; the step before each row, and the rate of the speed.
-    let (mut rows, mut steps, mut rates) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut cells, mut steps, mut rates) = (Vec::new(), Vec::new(), Vec::new());
     // Over some samples on either side, where the current is constant as well.
     let rate = |sample: usize| {
         let (from, to) = (sample.saturating_sub(1), (sample + 1).min(times.len() - 1));
@@ -52,11 +75,18 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
             time_s - from_s > SETTLED_PERIODS * period_s && until_s - time_s > period_s;
         let is_whole = volts.is_finite() && speed_rad_s.is_finite();
         if is_settled && is_whole && amperes.abs() > least_a {
-            rows.push([amperes, speed_rad_s, amperes.signum(), *volts]);
+            cells.push([amperes, speed_rad_s, amperes.signum(), *volts]);
             steps.push(step);
             rates.push(rate(sample));
         }
     }
+    Rows { cells, steps, rates }
+}
+
+/// `None` where the run has no voltage with a commanded current, or too few rows of it.
+pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
+    let Rows { cells: rows, steps, rates } = rows_of(scenario);
+    let period_s = median_step(&scenario.sample_time_s);
     if rows.len() < 3 * ROWS_AN_UNKNOWN {
         return None;
     }
@@ -78,10 +108,13 @@ pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
         "the drive controls the current: it is constant between its steps, and those are over between two samples",
     );
     let all = [estimate(MotorKey::Resistance, 0), inductance, estimate(MotorKey::BackEmf, 1)];
+    let plain = least_squares::solve(&matrix.columns(0, 2).into_owned(), &right, &steps)?.x;
     let is_free = |own: &ParameterEstimate| !model.fixed.contains(&own.key);
     Some(Winding {
         parameters: all.into_iter().filter(is_free).collect(),
         drop_v: (solution.x[2], std(2)),
+        with_drop: [solution.x[0], solution.x[1], solution.x[2]],
+        without_drop: [plain[0], plain[1]],
     })
 }
 

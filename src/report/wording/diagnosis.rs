@@ -10,7 +10,7 @@ use drivebench_diagnose::{
 };
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::effect;
-use drivebench_model::text::number::probability;
+use drivebench_model::text::number::{probability, with_std};
 use std::fmt::Write as _;
 
 /// Most effects that are listed by name where these runs would not show them.
@@ -125,14 +125,34 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
                 unconfirmed(found)
             )
         }
+        DiagnosisVerdict::Effect if found.winding_drop.is_some() && found.effects.len() == 1 => {
+            format!(
+                "{names}{}; held-out error of the torques {before:.2} {times}{}",
+                drop(found),
+                unconfirmed(found)
+            )
+        }
         DiagnosisVerdict::Effect => format!(
-            "{names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}",
+            "{names}; held-out error {before:.2} -> {after:.2} {times}, {:.0} % explained{}{}{}",
             found.explained_percent,
+            drop(found),
             not_distinguished(&found.confusable),
             unconfirmed(found)
         ),
     };
     (begin, rest)
+}
+
+/// A drop that the voltage balance names, and what it does to the held-out voltage.
+fn drop(found: &Diagnosis) -> String {
+    found.winding_drop.as_ref().map_or_else(String::new, |drop| {
+        format!(
+            "; the drop of {} V lowers the held-out error of the voltage from {:.3} to {:.3} V",
+            with_std(drop.drop_v, Some(drop.std_v)),
+            drop.holdout_before_v,
+            drop.holdout_after_v
+        )
+    })
 }
 
 /// The effects of a diagnosis, each with its time if it is an event.

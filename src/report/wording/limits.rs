@@ -45,7 +45,7 @@ pub fn limit(limit: &Limit) -> String {
             // As a size may be zero.
             if drop_v.abs() > 2.58 * std_v {
                 format!(
-                    "the voltage balance has {value} V against the current whatever its size: brushes, switches or dead time. It is in no                      torque, so that it is not among the effects that these runs name"
+                    "the voltage balance has {value} V against the current whatever its size: brushes, switches or dead time. It is in no torque, so that it is not among the effects that these runs name"
                 )
             } else {
                 format!("the voltage balance has no constant drop: at most {} V", significant(most, 2))

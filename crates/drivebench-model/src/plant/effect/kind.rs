@@ -21,6 +21,8 @@ pub enum TermKind {
     Weight,
     /// Friction in proportion to the torque that is transmitted.
     FrictionOfLoad,
+    /// Constant voltage against the current.
+    VoltageDrop,
     /// Constant voltage.
     VoltageOffset,
     /// Delay of the command, of the current (to first order, as a filter) and of the speed.
@@ -45,6 +47,7 @@ impl TermKind {
             Self::TorqueOffset => &constant_load::EFFECT,
             Self::Weight => &eccentric_load::EFFECT,
             Self::FrictionOfLoad => &load_dependent_friction::EFFECT,
+            Self::VoltageDrop => &voltage_drop::EFFECT,
             Self::VoltageOffset => &voltage_offset::EFFECT,
             Self::LateCommand => &command_delay::EFFECT,
             Self::LateCurrent => &current_filter::EFFECT,
