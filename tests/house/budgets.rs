@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_190),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 22_240),
+    ("crates/drivebench-diagnose", 22_260),
     ("crates/drivebench-emulator", 13_230),
     ("crates/drivebench-identify", 24_090),
     ("crates/drivebench-link", 18_890),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 742;
+const MOST_NUMERIC_CONSTANTS: usize = 743;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];

@@ -449,7 +449,7 @@ fn answer(bench: &Bench, inference: &Inference, rungs: &[Standing]) -> Diagnosis
             // Without a floor, or without excitation, it is not known whether an effect is missing.
             DiagnosisVerdict::None => evidence.noise.source != FloorSource::None && excited,
             DiagnosisVerdict::Unexplained => false,
-            _ => eta >= SUFFICIENT_SHARE || settled,
+            _ => eta >= SUFFICIENT_SHARE || settled || leaves_white_noise(bench, inference),
         },
         noise_floor_from: evidence.noise.source,
         search_was_cut: inference.is_cut(),
@@ -563,6 +563,14 @@ fn rivals(inference: &Inference, given: &[&'static str]) -> Vec<Model> {
     models.collect()
 }
 
+/// Whether all that a balance without a floor leaves is noise, which is estimated with the effects: nothing else has a structure
+/// where the rest is white.
+fn leaves_white_noise(bench: &Bench, inference: &Inference) -> bool {
+    let is_known = bench.evidence.noise.source != FloorSource::None;
+    let is_white = inference.is_nearly_white() && inference.unknown.is_empty();
+    bench.fits_at_once() && !is_known && is_white
+}
+
 fn verdict(
     bench: &Bench,
     inference: &Inference,
@@ -596,12 +604,7 @@ fn verdict(
         && inference.is_nearly_white()
         && unexplained <= HALF_SHARE * explainable
         && floor.is_explained_in_part(base.nrms, best.nrms);
-    // Without a floor the noise of a balance is estimated with the effects: nothing else has a structure where the rest is white.
-    let has_noise_only = bench.fits_at_once()
-        && !is_known
-        && inference.is_nearly_white()
-        && inference.unknown.is_empty();
-    let is_sufficient = has_phase_error_only || has_noise_only || at_floor;
+    let is_sufficient = has_phase_error_only || leaves_white_noise(bench, inference) || at_floor;
     if !is_sufficient && above(best.nrms) > HALF_SHARE * explainable {
         DiagnosisVerdict::Unexplained
     } else if inference.confusable.iter().any(|pair| pair[0] == *first) {

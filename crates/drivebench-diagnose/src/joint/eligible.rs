@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::mechanical::{depends_on_drive, start_of};
 use drivebench_identify::balance::has_both_power_flows;
+use drivebench_identify::noise::noise_in_motion;
 use drivebench_identify::speed_from_angle;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{
@@ -121,6 +122,29 @@ fn resolves(scenario: &Scenario, periods_per_turn: f64) -> bool {
     close.count() as f64 >= 0.1 * steps.len() as f64
 }
 
+/// Largest share of the noise of the speeds in the mean square of their rate: it attenuates the inertia by as much.
+const NOISE_OF_RATE: f64 = 0.01;
+
+/// The shortest interval between speeds, in powers of two of the period, over which their noise is a small part of their rate.
+fn quiet_interval_s(scenario: &Scenario) -> f64 {
+    let known = |sample: &usize| scenario.speed_rad_s[*sample].is_finite();
+    let samples: Vec<usize> = (0..scenario.samples()).filter(known).collect();
+    let noise = noise_in_motion(&scenario.speed_rad_s);
+    let point =
+        |at: usize| (scenario.sample_time_s[samples[at]], scenario.speed_rad_s[samples[at]]);
+    let is_quiet = |step: &usize| {
+        let changes = (*step..samples.len()).step_by(*step).map(|at| {
+            let (from, to) = (point(at - step), point(at));
+            (to.1 - from.1).powi(2)
+        });
+        let (sum, count) = changes.fold((0.0, 0.0), |sum, change| (sum.0 + change, sum.1 + 1.0));
+        2.0 * noise * noise * count <= NOISE_OF_RATE * sum
+    };
+    let steps = (0..16).map(|power| 1_usize << power).take_while(|step| 100 * step < samples.len());
+    let found = steps.clone().find(is_quiet).or_else(|| steps.last());
+    (found.unwrap_or(1) - 1) as f64 * scenario.mean_period_s()
+}
+
 /// Initial state of each run: the fitted one for the first, rest for a hold-out, the measured one for the others.
 pub(super) fn starts(runs: &[Scenario], held_out: usize, first: State) -> Vec<State> {
     let start = |(number, run): (usize, &Scenario)| {
@@ -157,7 +181,8 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     // Where the noise is not known speeds are as far apart as the windows of the balance: faster, the frame and the drive's own
     // loops would decide.
     let is_own = noise_is_known && span.is_none();
-    let apart_s = if is_own { 0.0 } else { 0.03 };
+    let least_s = if is_own { 0.0 } else { 0.03 };
+    let apart_s = quiet_interval_s(scenario).max(least_s);
     let (mut next_s, mut skip) = (f64::NEG_INFINITY, 0);
     let is_used = |sample: &usize| {
         let time_s = scenario.sample_time_s[*sample];
