@@ -19,7 +19,7 @@ const EXPLAINS_SOMETHING_SHARE: f64 = 0.3;
 pub(super) const MOST_UNOBSERVED_RATIO: f64 = 2.0;
 
 /// Largest error by stamps that counts as noise, in units of the sensors': under a wrong inductance stamps seem to explain anything.
-const MOST_BY_STAMPS: f64 = 2.0;
+const MOST_BY_STAMPS: f64 = 4.0;
 
 /// Noise floor of a free run's error, in units of the sensors' noise.
 #[derive(Clone, Copy)]

@@ -280,10 +280,8 @@ pub fn fit_delayed(
         let pull = own.dot(&residual) / left + (delay_s - mean_s) / prior_s.powi(2);
         let white_s = information.sqrt().recip();
         let step_s = -pull / information;
-        let earliest_s = scenario.earliest_input_s();
-        let next_s = (delay_s + step_s.clamp(-prior_s, prior_s)).max(earliest_s);
-        if (next_s - delay_s).abs() > 0.1 * white_s && round < 5 {
-            delay_s = next_s;
+        if step_s.abs() > 0.1 * white_s && round < 5 {
+            delay_s += step_s.clamp(-prior_s, prior_s);
             found = fit(&[with(&found.model, delay_s)], scenario, noise)?;
             continue;
         }

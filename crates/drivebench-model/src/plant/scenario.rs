@@ -369,13 +369,6 @@ impl Scenario {
         }
     }
 
-    /// The earliest delay of a command against its stamp, s: within the exchanges of the write and the read, or later.
-    pub fn earliest_input_s(&self) -> f64 {
-        let is_command = matches!(self.input_channel, Channel::VoltageCmd | Channel::CurrentCmd);
-        let half_width_s = self.typical_half_width_s().filter(|_| is_command);
-        half_width_s.map_or(f64::NEG_INFINITY, |half_width_s| -2.0 * half_width_s)
-    }
-
     /// Whether the input is known at the samples only, so that its changes came at unknown instants.
     pub fn has_sampled_input(&self) -> bool {
         self.unknown_input.iter().any(UnknownInput::is_of_edge)
