@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_190),
     ("crates/drivebench-control", 6_690),
-    ("crates/drivebench-diagnose", 22_260),
+    ("crates/drivebench-diagnose", 22_270),
     ("crates/drivebench-emulator", 13_230),
     ("crates/drivebench-identify", 24_090),
     ("crates/drivebench-link", 18_890),
