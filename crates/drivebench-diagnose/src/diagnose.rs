@@ -187,16 +187,18 @@ impl Diagnosis {
         let id = winding_drop::ID;
         if self.verdict == DiagnosisVerdict::None {
             self.verdict = DiagnosisVerdict::Effect;
-            if let (Some(confirm), Some(z)) = (&mut self.confirm, drop.confirm_z) {
-                confirm.z = Some(z);
-                confirm.confirmed = confirm.confirmed.map(|holds| holds && z >= CONFIRMED_SIGMAS);
-            }
+        }
+        // A run without a voltage confirms no drop.
+        if let Some(confirm) = &mut self.confirm {
+            let holds = drop.confirm_z.map(|z| z >= CONFIRMED_SIGMAS);
+            confirm.confirmed = confirm.confirmed.zip(holds).map(|(torques, drop)| torques && drop);
         }
         self.effect.get_or_insert(id);
         self.effects.push(id);
         self.limits.retain(|limit| !matches!(limit, Limit::ConstantDrop { .. }));
         if let Some(own) = self.candidates.iter_mut().find(|own| own.effect == id) {
-            (own.status, own.probability) = (Status::Supported, 1.0);
+            own.probability = drop.probability;
+            own.status = Status::of(drop.probability, true);
             own.parameters.clone_from(&parameters);
             own.finding = CandidateFinding::Named {
                 floor: self.noise_floor_from,

@@ -508,6 +508,9 @@ pub struct AddResult {
     pub ladder: Vec<Rung>,
     /// Errors on the confirming run, where there is one.
     pub confirm: Option<[Rung; 2]>,
+    /// What a drop does to the voltage, where that of a controlled current shows it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub winding_drop: Option<WindingDrop>,
     #[serde(skip)]
     pub fit: Fitted,
 }
@@ -571,8 +574,10 @@ pub fn add(
     if let Some(drop) = drop.flatten() {
         result.parameters = drop.add_to(&mut result.fit.model);
         result.fit.parameters.extend(result.parameters.iter().cloned());
-        (result.accepted, result.refused, result.probability) = (true, None, 1.0);
+        (result.accepted, result.refused) = (true, None);
+        result.probability = drop.probability;
         result.finding = ChangeFinding::There { rivals: Vec::new() };
+        result.winding_drop = Some(drop);
     }
     Ok(result)
 }
@@ -644,6 +649,7 @@ fn change(
         parameters: parameters_of(id, &reported.parameters),
         ladder: vec![before.rung(), after.rung()],
         confirm,
+        winding_drop: None,
         fit,
     })
 }

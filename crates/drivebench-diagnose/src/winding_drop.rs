@@ -28,6 +28,9 @@ pub struct WindingDrop {
     pub holdout_after_v: f64,
     /// Its value on the confirming run, in standard deviations; null without such a run.
     pub confirm_z: Option<f64>,
+    /// Posterior probability: the prior odds of the effect, and the Bayes factor of a value so many deviations from zero on the run
+    /// that shows it less, for a prior with the information of one step of the current (Schwarz, Annals of Statistics 6, 1978).
+    pub probability: f64,
 }
 
 impl WindingDrop {
@@ -35,6 +38,7 @@ impl WindingDrop {
     pub(super) fn find(model: &Model, evidence: &Evidence) -> Option<Self> {
         let of = |run: &Scenario| winding_balance::fit(&Model::default(), run);
         let sigmas = |run: &Scenario| of(run).map(|found| found.drop_v.0 / found.drop_v.1);
+        let held_out_z = sigmas(&evidence.holdout)?;
         let fitted = of(&evidence.training).filter(|_| !model.has(ID))?;
         let (drop_v, std_v) = fitted.drop_v;
         let [before_v, after_v] = fitted.errors_v(&evidence.holdout)?;
@@ -42,13 +46,18 @@ impl WindingDrop {
         let is_there = drop_v > least_v
             && drop_v > CONFIRMED_SIGMAS * std_v
             && before_v > AS_GOOD * after_v
-            && sigmas(&evidence.holdout)? > CONFIRMED_SIGMAS;
+            && held_out_z > CONFIRMED_SIGMAS;
+        let prior = TermKind::VoltageDrop.effect().card().share_beforehand;
+        let steps = evidence.training.current_steps_s.len().max(1) as f64;
+        let z = held_out_z.min(drop_v / std_v);
+        let log_odds = (prior / (1.0 - prior)).ln() + 0.5 * (z * z - steps.ln());
         is_there.then(|| Self {
             drop_v,
             std_v,
             holdout_before_v: before_v,
             holdout_after_v: after_v,
             confirm_z: evidence.confirm.as_ref().and_then(sigmas),
+            probability: 1.0 / (1.0 + (-log_odds).exp()),
         })
     }
 
@@ -104,7 +113,7 @@ mod tests {
         let found = find(&model, [0.8; 3]).unwrap();
         assert!((found.drop_v - 0.8).abs() < 0.02, "{found:?}");
         assert!(found.holdout_after_v < 0.1 && found.holdout_before_v > 0.2, "{found:?}");
-        assert!(found.confirm_z.unwrap() > CONFIRMED_SIGMAS);
+        assert!(found.confirm_z.unwrap() > CONFIRMED_SIGMAS && found.probability > 0.99);
         for drops_v in [[0.0; 3], [0.8, 0.0, 0.8], [-0.8; 3], [0.1; 3]] {
             assert!(find(&model, drops_v).is_none(), "{drops_v:?}");
         }

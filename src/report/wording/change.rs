@@ -1,6 +1,7 @@
 //! The result of adding or removing an effect, and the method of the values of a model with effects.
 
 use super::candidate::{not_judged, veto};
+use super::diagnosis::fall_of_voltage;
 use super::limits::{set_aside, trivial};
 use super::times;
 use drivebench_diagnose::{
@@ -31,7 +32,10 @@ pub fn change(result: &AddResult) -> String {
 fn reason(result: &AddResult) -> String {
     let name = result.name;
     let likely = probability(result.probability);
-    let fall = fall(result) + &both_processings([&result.before, &result.after]);
+    let mut fall = fall(result);
+    if result.winding_drop.is_none() {
+        fall += &both_processings([&result.before, &result.after]);
+    }
     let removed = |verdict: &str| {
         format!("{name} {verdict}: its probability is {likely}, and without it {fall}")
     };
@@ -63,6 +67,9 @@ fn reason(result: &AddResult) -> String {
 
 /// How the held-out error changes.
 fn fall(result: &AddResult) -> String {
+    if let Some(drop) = &result.winding_drop {
+        return fall_of_voltage(drop);
+    }
     let error = |rung: usize| result.ladder.get(rung).map_or(f64::NAN, |rung| rung.holdout_rmse);
     let (from, to) = (error(0), error(1));
     let share = 100.0 * (1.0 - to / from);

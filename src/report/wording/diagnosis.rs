@@ -6,7 +6,7 @@ use super::location::location;
 use super::times;
 use drivebench_diagnose::{
     Answer, CONFIRMED_SIGMAS, Candidate, Confirmation, ConfirmationFinding, Diagnosis,
-    DiagnosisVerdict, Status, Unknown, UnknownKind,
+    DiagnosisVerdict, Status, Unknown, UnknownKind, WindingDrop,
 };
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::effect;
@@ -143,16 +143,18 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
     (begin, rest)
 }
 
-/// A drop that the voltage balance names, and what it does to the held-out voltage.
+/// A drop that the voltage balance names.
 fn drop(found: &Diagnosis) -> String {
     found.winding_drop.as_ref().map_or_else(String::new, |drop| {
-        format!(
-            "; the drop of {} V lowers the held-out error of the voltage from {:.3} to {:.3} V",
-            with_std(drop.drop_v, Some(drop.std_v)),
-            drop.holdout_before_v,
-            drop.holdout_after_v
-        )
+        let volts = with_std(drop.drop_v, Some(drop.std_v));
+        format!("; with a drop of {volts} V {}", fall_of_voltage(drop))
     })
+}
+
+/// What a drop does to the held-out voltage.
+pub(super) fn fall_of_voltage(drop: &WindingDrop) -> String {
+    let (before, after) = (drop.holdout_before_v, drop.holdout_after_v);
+    format!("the held-out error of the voltage falls from {before:.3} to {after:.3} V")
 }
 
 /// The effects of a diagnosis, each with its time if it is an event.
@@ -284,12 +286,16 @@ pub fn confirmation(found: &Diagnosis, confirm: &Confirmation) -> String {
             );
         }
     };
+    let drop = found.winding_drop.as_ref().map_or_else(String::new, |drop| match drop.confirm_z {
+        Some(z) => format!("; the voltage drop there is {z:.1} times its deviation"),
+        None => "; there is no voltage that would show the drop".to_owned(),
+    });
     let word = match confirm.confirmed {
         Some(true) => "confirmed",
         Some(false) => "NOT confirmed",
         None => "neither confirmed nor refuted",
     };
-    format!("{word} on the confirming run: {finding}")
+    format!("{word} on the confirming run: {finding}{drop}")
 }
 
 #[cfg(test)]

@@ -58,6 +58,7 @@ fn added(effect: &'static str, accepted: bool) -> News {
         after: comparison(0.155),
         parameters: Vec::new(),
         ladder: vec![rung(Vec::new(), 5.1), rung(vec![effect], 1.03)],
+        winding_drop: None,
         confirm: None,
         fit: fitted(&["stribeck_friction"][..usize::from(accepted)]),
     }))

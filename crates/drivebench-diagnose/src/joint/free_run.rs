@@ -64,6 +64,10 @@ fn propagated_rms(
     noise: &Noise,
     added: impl Fn(&Transition) -> [[f64; 2]; 2],
 ) -> [f64; 2] {
+    // A balance of torques is no free run: nothing adds up from row to row.
+    if run.dynamics.balanced_kg_m2.is_some() {
+        return [0.0; 2];
+    }
     let mut p = stationary(noise);
     let mut squares = [0.0; 2];
     for (transition, decay) in run.gains.transitions.iter().zip(&run.gains.decays) {

@@ -242,6 +242,8 @@ pub(super) fn unbalanced_with(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::joint::eligible::prepared;
+    use crate::joint::free_run::unpredicted;
     use crate::joint::run::LinearisedRun;
     use crate::joint::tangent::Tangent;
     use crate::kit::with;
@@ -318,6 +320,27 @@ mod tests {
                 assert!((rho - expected).abs() < 0.1, "{torque_n_m} {speed_rad_s} {lag}: {rho}");
             }
         }
+    }
+
+    #[test]
+    fn noise_of_the_speeds_is_no_error_by_lost_rows() {
+        let (model, run) = (machine(0.0), record(0.0, 0.01, 0.1));
+        let balanced =
+            LinearisedRun::new(&model, &run, State::default(), noise(0.01, 0.1)).unwrap();
+        let unpredicted = unpredicted(&balanced);
+        assert_eq!([unpredicted.lost_rows, unpredicted.stamps], [[0.0; 2]; 2]);
+    }
+
+    #[test]
+    fn rows_are_apart_until_the_noise_of_the_speeds_is_a_small_part_of_their_rate() {
+        let apart = |speed_rad_s: f64| {
+            let run = record(0.0, 0.01, speed_rad_s);
+            let prepared = prepared(&run, true);
+            run.samples() as f64 / prepared.samples() as f64
+        };
+        assert!((apart(1e-6) - 1.0).abs() < 0.01);
+        // A rate of 42 rad/s2: its square is a hundred times 2 (.1/dt)^2 from 34 ms on, which is seven periods.
+        assert!((apart(0.1) - 8.0).abs() < 0.1, "{}", apart(0.1));
     }
 
     #[test]
