@@ -14,10 +14,13 @@
 
 use super::unknown_input::{Rows, UnknownInput};
 use crate::numerics::least_squares::fit_normal;
-use crate::numerics::statistics::{largest, mean, median};
+use crate::numerics::statistics::{extent, largest, mean, median};
 
-/// Smaller changes, as a share of the largest, are the last digit of a reading.
+/// Smaller changes, as a share of the range of the voltage, are the last digit of a reading.
 const SMALL_CHANGE: f64 = 0.01;
+/// Change before or after another one, as a share of it, from which on the voltage runs instead of stepping: a battery sags by a
+/// quarter of a step in the row after it, and the rows of a ramp change alike.
+const RUNNING_CHANGE: f64 = 0.5;
 /// Share of the largest current below which a drop of voltage may not have reached its level.
 const SMALL_CURRENT: f64 = 0.1;
 /// Fewest changes that decide.
@@ -45,13 +48,14 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<Edge> {
     let input = record.input;
     let steps: Vec<f64> = input.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
     let period_s = median(&steps);
-    let small_v = SMALL_CHANGE * largest(input.windows(2).map(|pair| pair[1].1 - pair[0].1));
+    let (least_v, most_v) = extent(input.iter().map(|event| event.1));
+    let small_v = SMALL_CHANGE * (most_v - least_v);
     let small_a = SMALL_CURRENT * largest(record.measured.iter().map(|row| row[0]));
     let all = (1..input.len()).map(|row| Interval::of(record, row, small_a));
     let (mut held, mut changes): (Vec<Interval>, Vec<Interval>) =
         all.filter(Interval::is_measured).partition(|own| own.change_v.abs() <= small_v);
     // Over lost rows the voltage is unknown in another way.
-    changes.retain(|own| own.length_s < 1.5 * period_s);
+    changes.retain(|own| own.length_s < 1.5 * period_s && is_step(input, own.row));
     held.retain(|own| own.is_level && (own.length_s / period_s - 1.0).abs() < 0.1);
     // Time constants from a hundredth of the period to ten periods.
     let constants_s = (0..62).map(|step| 0.01 * period_s * 1.12_f64.powi(step));
@@ -63,6 +67,15 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<Edge> {
     };
     let shares = shares(&possible, best.error_a2, held.len(), &changes);
     changes.iter().zip(shares).map(|(own, share)| own.edge(record, share)).collect()
+}
+
+/// Whether the input steps from a level to another one at a row.
+fn is_step(input: &[(f64, f64)], row: usize) -> bool {
+    let change = |row: usize| match (input.get(row.wrapping_sub(1)), input.get(row)) {
+        (Some(before), Some(after)) => (after.1 - before.1).abs(),
+        _ => 0.0,
+    };
+    change(row - 1).max(change(row + 1)) < RUNNING_CHANGE * change(row)
 }
 
 /// The interval before a row.
@@ -291,6 +304,15 @@ mod tests {
             assert!(rms < most, "{period_s}: {rms}");
             assert!((0.3..1.5).contains(&of_deviations), "{period_s}: {of_deviations}");
         }
+    }
+
+    #[test]
+    fn a_ramp_and_a_supply_that_sags_after_a_step_are_no_steps() {
+        let levels = [0.0, 10.0, 8.0, 7.5, 7.5, 9.0, 10.5, 12.0, 12.0, -3.0, -3.0];
+        let input: Vec<(f64, f64)> = (0_u32..).map(f64::from).zip(levels).collect();
+        let steps: Vec<usize> =
+            (1..input.len()).filter(|row| super::is_step(&input, *row)).collect();
+        assert_eq!(steps, [1, 9]);
     }
 
     #[test]
