@@ -127,7 +127,15 @@ impl EnableSequence {
         let sign_bits = signs
             .filter(|sign| sign.set_point == set_point)
             .fold(0, |bits, sign| bits | i64::from(sign.mask));
+        // Any time of the watchdog arms it.
+        let time = map.set_point(set_point).zip(map.watchdog.time.as_ref());
+        let is_time = time.is_some_and(|(point, (at, _))| {
+            (point.location.table, point.location.address) == (at.table, at.address)
+        });
         let is = |word: &Word| {
+            if is_time {
+                return word.set_point == set_point && (number != 0) == (word.value != 0);
+            }
             let mask = word.mask.map_or(!sign_bits, i64::from);
             word.set_point == set_point && (number ^ word.value) & mask == 0
         };
