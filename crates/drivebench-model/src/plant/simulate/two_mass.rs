@@ -9,8 +9,9 @@
 //! and propagated exactly between changes of its modes. A change within a step is located and the step is cut there, so that
 //! the result is a smooth function of the parameters.
 //!
-//! For the four linear states (`dx/dt = A x + g`) the power series needs a few products with a sparse `A`; step lengths that
-//! repeat get matrices (`x(t) = Phi x(0) + Gamma g`) by the same series with scaling and squaring (Moler and Van Loan 2003).
+//! For the four linear states (`dx/dt = A x + g`) the power series needs a few products with a sparse `A`. A length beyond its range
+//! is a sum of that range times powers of two, for which matrices (`x(t) = Phi x(0) + Gamma g`) come from it by repeated squaring
+//! (Moler and Van Loan 2003), and of a rest; step lengths that repeat get matrices of their own.
 
 use super::equations::{Equations, Mode, State};
 use super::steps::{self, is_same};
@@ -186,8 +187,7 @@ impl TwoMass {
         let mut remaining = h;
         // More than eight changes of mode in one sub-step: both sides come to rest.
         for _ in 0..8 {
-            let from = self.begin(equations, state, at);
-            self.flows[from.index()].prepare(remaining);
+            let from = self.begin(equations, state, at, remaining);
             let next = self.trial(equations, &from, remaining);
             let Some((cut, first)) = self.first_end(equations, &from, &next, remaining) else {
                 (*state, self.load) = next;
@@ -201,20 +201,23 @@ impl TwoMass {
                 return;
             }
         }
-        let from = self.begin(equations, state, at);
+        let from = self.begin(equations, state, at, remaining);
         (*state, self.load) = self.trial(equations, &from, remaining);
         state.mode = Mode::Undecided;
         self.load.mode = Mode::Undecided;
         self.load.contact = self.contact_of(self.load.twist_rad_s);
     }
 
-    fn begin(&self, equations: &Equations, state: &State, at: Instant) -> Begin {
-        Begin {
+    /// A step of at most `h`.
+    fn begin(&mut self, equations: &Equations, state: &State, at: Instant, h: f64) -> Begin {
+        let begin = Begin {
             forcing: self.forcing(equations, state, &self.load, &at),
             motor: *state,
             load: self.load,
             at,
-        }
+        };
+        self.flows[begin.index()].prepare(h);
+        begin
     }
 
     /// The first end of a mode within `h`, and whose mode it is.
@@ -548,25 +551,20 @@ impl Matrices {
         out
     }
 
-    /// Scaling and squaring: the series over `t / 2^n`, where `size t / 2^n` is at most one, and `n` doublings.
-    fn over(a: &Sparse, t: f64) -> Self {
-        let halvings = (a.size() * t).log2().ceil().max(0.0);
-        let short = t / halvings.exp2();
-        let mut all = Self {
-            phi: std::array::from_fn(|column| series(a, unit(column), [0.0; 3], short)),
-            gamma: std::array::from_fn(|column| series(a, [0.0; 4], unit(column), short)),
-        };
-        let mut doublings = 0.0;
-        while doublings < halvings {
-            // Phi(2t) = Phi(t) Phi(t), Gamma(2t) = Phi(t) Gamma(t) + Gamma(t).
-            let half = all;
-            all = Self {
-                phi: half.phi.map(|column| half.apply(column, [0.0; 3])),
-                gamma: std::array::from_fn(|column| half.apply(half.gamma[column], unit(column))),
-            };
-            doublings += 1.0;
+    /// By the series of a length for which `size t` is at most one.
+    fn of_series(a: &Sparse, t: f64) -> Self {
+        Self {
+            phi: std::array::from_fn(|column| series(a, unit(column), [0.0; 3], t)),
+            gamma: std::array::from_fn(|column| series(a, [0.0; 4], unit(column), t)),
         }
-        all
+    }
+
+    /// Over twice the length: `Phi(2t) = Phi(t) Phi(t)`, `Gamma(2t) = Phi(t) Gamma(t) + Gamma(t)`.
+    fn doubled(&self) -> Self {
+        Self {
+            phi: self.phi.map(|column| self.apply(column, [0.0; 3])),
+            gamma: std::array::from_fn(|column| self.apply(self.gamma[column], unit(column))),
+        }
     }
 }
 
@@ -609,6 +607,8 @@ struct Flow {
     last: usize,
     /// Latest length without matrices.
     missed_s: f64,
+    /// Matrices over the range of the series, `1 / size`, times the powers of two.
+    powers: Vec<Matrices>,
 }
 
 impl Flow {
@@ -637,16 +637,24 @@ impl Flow {
 
     #[inline(never)]
     fn miss(&mut self, length_s: f64) {
+        while self.powers.len() < 64 && self.size * length_s >= (self.powers.len() as f64).exp2() {
+            let range = || Matrices::of_series(&self.a, self.size.recip());
+            let next = self.powers.last().map_or_else(range, Matrices::doubled);
+            self.powers.push(next);
+        }
         if is_same(self.missed_s, length_s) {
             self.last = 1 - self.last;
-            let half = self.with_half.then(|| Matrices::over(&self.a, 0.5 * length_s));
-            self.steps[self.last] = Step {
-                length_s,
-                whole: Matrices::over(&self.a, length_s),
-                half: half.unwrap_or_default(),
-            };
+            let half = self.with_half.then(|| self.over(0.5 * length_s)).unwrap_or_default();
+            self.steps[self.last] = Step { length_s, whole: self.over(length_s), half };
         }
         self.missed_s = length_s;
+    }
+
+    fn over(&self, length_s: f64) -> Matrices {
+        Matrices {
+            phi: std::array::from_fn(|column| self.uncached(unit(column), [0.0; 3], length_s)),
+            gamma: std::array::from_fn(|column| self.uncached([0.0; 4], unit(column), length_s)),
+        }
     }
 
     /// The state after `length_s`.
@@ -667,12 +675,19 @@ impl Flow {
         }
     }
 
-    fn uncached(&self, x: X, g: [f64; 3], t: f64) -> X {
-        if self.size * t <= 1.0 {
-            series(&self.a, x, g, t)
-        } else {
-            Matrices::over(&self.a, t).apply(x, g)
+    /// The state after at most the length that was prepared last.
+    fn uncached(&self, x: X, g: [f64; 3], length_s: f64) -> X {
+        let ranges = (self.size * length_s).floor();
+        let rest_s = if ranges > 0.0 { length_s - ranges / self.size } else { length_s };
+        let mut state = series(&self.a, x, g, rest_s);
+        let mut left = ranges as u64;
+        for power in &self.powers {
+            if left & 1 == 1 {
+                state = power.apply(state, g);
+            }
+            left >>= 1;
         }
+        state
     }
 }
 
