@@ -328,6 +328,24 @@ impl Evidence {
         Ok((self, fit))
     }
 
+    /// The same with the inputs of the other runs at the instants that `model`, fitted to the training run, gives them, and by how
+    /// much each was moved, s.
+    pub(super) fn aligned(mut self, model: &Model) -> (Self, Vec<(String, f64)>) {
+        let mut offsets = Vec::new();
+        let noise = self.noise;
+        let mut align = |run: &mut Scenario| {
+            if let Some(offset_s) = output_error::offset_in(model, run, &noise) {
+                *run = run.with_input_later(offset_s);
+                offsets.push((run.name.clone(), offset_s));
+            }
+        };
+        if self.holdout_from == HoldoutFrom::Run {
+            align(&mut self.holdout);
+        }
+        self.confirm.iter_mut().chain(&mut self.repeat).for_each(align);
+        (self, offsets)
+    }
+
     /// Takes in a run of the same excitation as `training`. Where the sensors' noise is not known at rest, what the two do
     /// not repeat is the floor.
     pub fn with_repeat(mut self, model: &Model, repeat: Scenario) -> Result<Self, FitError> {

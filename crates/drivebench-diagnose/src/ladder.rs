@@ -75,6 +75,8 @@ pub(super) struct Bench {
     aside: Option<SetAside>,
     /// Which part of long runs is searched.
     searched: Option<Limit>,
+    /// By how much the input of a run was moved, s.
+    offsets: Vec<(String, f64)>,
 }
 
 impl Bench {
@@ -96,9 +98,10 @@ impl Bench {
         };
         let (evidence, aside) = alone.unwrap_or((evidence, None));
         let (mut evidence, searched) = evidence.shortened();
+        let mut offsets = Vec::new();
         let (balance, fit) = if evidence.training.input == Input::Voltage {
             let (with_floor, fit) = evidence.with_baseline(model)?;
-            evidence = with_floor;
+            (evidence, offsets) = with_floor.aligned(&fit.model);
             (None, Fitted::from(fit))
         } else {
             let (balance, fit) = Balance::new(model, &evidence)?;
@@ -107,7 +110,7 @@ impl Bench {
             let fit = balance.fitted(fit, &evidence);
             (Some(balance), fit)
         };
-        let bench = Self { evidence, balance, given: model.clone(), aside, searched };
+        let bench = Self { evidence, balance, given: model.clone(), aside, searched, offsets };
         Ok((bench, fit))
     }
 
@@ -309,6 +312,8 @@ impl Bench {
                 .zip(known)
                 .map(|(offset_s, (_, known_s))| Limit::StampsOffset { offset_s, known_s }),
         );
+        let of_runs = self.offsets.iter().cloned();
+        limits.extend(of_runs.map(|(run, offset_s)| Limit::OffsetOfRun { run, offset_s }));
         limits.extend(self.balance.as_ref().map(|balance| Limit::TorqueBalance {
             derivation: balance.sides.training.derivation.clone(),
         }));

@@ -15,6 +15,8 @@ findings! {
         PartSearched { parts: Vec<SearchedPart>, rest_confirms: bool } = "only_part_searched",
         /// By how much commands act later than the stamps of the host, s, and the deviation of what was known of it beforehand.
         StampsOffset { offset_s: f64, known_s: f64 } = "offset_of_stamps",
+        /// By how much the commands of a run act later than those of the fitted run, against their stamps.
+        OffsetOfRun { run: String, offset_s: f64 } = "offset_of_a_run",
         TorqueBalance { derivation: Derivation } = "errors_of_torque_balance",
         /// Voltage against the current whatever its size, with its standard deviation, V: of a run that a current drives.
         ConstantDrop { drop_v: f64, std_v: f64 } = "constant_voltage_drop",

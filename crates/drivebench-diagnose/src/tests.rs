@@ -246,9 +246,9 @@ fn a_signal_without_samples_at_rest_is_a_limit_and_the_other_is_judged() {
 
 #[test]
 fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_finding() {
-    // Commands that act 0.9 ms after their stamps, each within 0.05 ms.
-    let (offset_s, half_width_s) = (9e-4, 5e-4);
-    let stamped = |mut run: Scenario| {
+    // Commands that act 0.9 ms after their stamps, each within 0.05 ms; in the confirming run 0.4 ms later.
+    let (offset_s, half_width_s, more_s) = (9e-4, 5e-4, 4e-4);
+    let stamped = |mut run: Scenario, offset_s: f64| {
         for (number, event) in run.events.iter_mut().enumerate().skip(1) {
             event.0 -= offset_s + 5e-5 * (number as f64 * 2.4).sin();
         }
@@ -257,13 +257,25 @@ fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_
     };
     for machine in [nameplate(), truth("current_filter", &[6e-3])] {
         let Evidence { training, holdout, confirm, .. } = evidence(&machine, 4);
-        let data = Evidence::new(stamped(training), Some(stamped(holdout)), confirm.map(stamped));
+        let confirm = confirm.map(|run| stamped(run, offset_s + more_s));
+        let holdout = stamped(holdout, offset_s);
+        let data = Evidence::new(stamped(training, offset_s), Some(holdout), confirm);
         let found = diagnose(&nameplate(), data).unwrap();
         assert_eq!(found.effects, machine.effect_ids());
         let model = &found.model.model;
         assert!((model.input_delay_s.unwrap() / offset_s - 1.0).abs() < 0.2, "{model:?}");
         let is_offset = |limit: &Limit| matches!(limit, Limit::StampsOffset { .. });
         assert!(found.limits.iter().any(is_offset), "{:?}", found.limits);
+        let of_runs = found.limits.iter().filter_map(|limit| match limit {
+            Limit::OffsetOfRun { offset_s, .. } => Some(*offset_s),
+            _ => None,
+        });
+        let of_runs: Vec<f64> = of_runs.collect();
+        assert!(
+            matches!(of_runs[..], [one_s] if (one_s / more_s - 1.0).abs() < 0.2),
+            "{of_runs:?}"
+        );
+        assert!(found.confirm.as_ref().unwrap().error_after.unwrap() < 1.6, "{:?}", found.confirm);
         // What the stamps err at random and the fit's share of the offset leave.
         assert!(found.holdout_after < 1.6, "{}", found.holdout_after);
     }

@@ -96,6 +96,9 @@ impl NoiseFloor {
         // The quantisation noise of a speed that is derived from a coarse angle, or restored from behind a filter, vanishes at rest.
         let derived = speed_from_angle::noise(scenario).unwrap_or(0.0);
         let derived = derived.max(scenario.speed_rounding_rad_s);
+        // That of a drive's own speed, from the counts of its angle: what it shows in motion, at most of a difference over one sample.
+        let of_counts = speed_from_angle::noise_of_counts(scenario);
+        let derived = derived.max(of_counts.min(roughness(&scenario.speed_rad_s)));
         let speed = floor(&scenario.speed_rad_s);
         let speed = speed.map(|(level, count, memory)| (level.max(derived), count, memory));
         let most = [&scenario.current_a, &scenario.speed_rad_s]
@@ -335,6 +338,24 @@ mod tests {
         for floor in [rest, stopped] {
             assert!((floor.speed_rad_s - 0.1).abs() < 0.002, "{floor:?}");
         }
+    }
+
+    #[test]
+    fn a_speed_from_counts_is_as_rough_as_it_is_in_motion_and_no_rougher_than_they_make_it() {
+        let speed = |k: usize| if k < 50 { 0.1 * alternating(k) } else { 1.0 + alternating(k) };
+        let with_counts = |count_rad: f64| {
+            let mut run = scenario(50, speed);
+            let turns = |k: usize| ((k as f64 * 0.31).sin() * 3.0).round() * count_rad;
+            run.angle = (0..400).map(|k| (run.sample_time_s[k], turns(k))).collect();
+            NoiseFloor::from_standstill(&run).unwrap().speed_rad_s
+        };
+        let none = floor(50, speed).unwrap().speed_rad_s;
+        let rough = roughness(&(0..400).map(speed).collect::<Vec<f64>>());
+        assert!(rough > 2.0 * none, "{rough} {none}");
+        assert!((with_counts(0.01) / rough - 1.0).abs() < 1e-9);
+        // Two readings of a count of 1 mrad, 10 ms apart.
+        assert!((with_counts(1e-3) - 0.1 / 6f64.sqrt()).abs() < 1e-6, "{}", with_counts(1e-3));
+        assert!((with_counts(1e-5) - none).abs() < 1e-9);
     }
 
     #[test]

@@ -63,6 +63,15 @@ pub fn noise(scenario: &Scenario) -> Option<f64> {
     Some(resolution(points) / 12f64.sqrt() * gain((span / 2) as f64, period_s(points)))
 }
 
+/// Standard deviation of the difference quotient of the angle from sample to sample by its quantisation, zero without an angle.
+pub(super) fn noise_of_counts(scenario: &Scenario) -> f64 {
+    let points = &scenario.angle;
+    if points.len() < 5 {
+        return 0.0;
+    }
+    resolution(points) / 6f64.sqrt() / period_s(points)
+}
+
 fn period_s(points: &[(f64, f64)]) -> f64 {
     (points[points.len() - 1].0 - points[0].0) / (points.len() - 1) as f64
 }

@@ -37,6 +37,14 @@ pub fn limit(limit: &Limit) -> String {
                 1e3 * known_s
             )
         }
+        Limit::OffsetOfRun { run, offset_s } => {
+            let side = if *offset_s < 0.0 { "earlier" } else { "later" };
+            let offset_ms = 1e3 * offset_s.abs();
+            format!(
+                "the commands of {run} act {offset_ms:.2} ms {side} than those of the fitted run, against their stamps: the clocks were \
+                 compared anew, and this is taken into account"
+            )
+        }
         Limit::TorqueBalance { derivation: of } => {
             format!("errors are those of the torque balance ({})", derivation(of))
         }

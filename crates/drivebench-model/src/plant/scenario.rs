@@ -515,6 +515,18 @@ impl Scenario {
         first.map_or(f64::INFINITY, |sample| self.sample_time_s[sample])
     }
 
+    /// The run with its input later by this time; its begin stays.
+    #[must_use]
+    pub fn with_input_later(&self, later_s: f64) -> Self {
+        let mut moved = self.clone();
+        let begin_s = self.begin_s();
+        moved.events.iter_mut().skip(1).for_each(|event| event.0 += later_s);
+        let before = moved.events.iter().skip(1).take_while(|event| event.0 <= begin_s).count();
+        moved.events.drain(..before);
+        moved.events[0].0 = begin_s;
+        moved
+    }
+
     /// Concatenation of this run and a later one of the same machine. Between them the input is zero, and the simulation
     /// restarts with the initial state of the later run. Inputs after this run's last sample (the hold-out) are left out.
     #[must_use]

@@ -15,6 +15,7 @@
 
 use super::equations::{Equations, Mode, State};
 use super::steps::{self, is_same};
+use crate::numerics::count::whole;
 use crate::numerics::root;
 use crate::plant::effect::{Coupling, Instant};
 
@@ -644,8 +645,9 @@ impl Flow {
         }
         if is_same(self.missed_s, length_s) {
             self.last = 1 - self.last;
-            let half = self.with_half.then(|| self.over(0.5 * length_s)).unwrap_or_default();
-            self.steps[self.last] = Step { length_s, whole: self.over(length_s), half };
+            let half = self.with_half.then(|| self.over(0.5 * length_s));
+            let whole = self.over(length_s);
+            self.steps[self.last] = Step { length_s, whole, half: half.unwrap_or_default() };
         }
         self.missed_s = length_s;
     }
@@ -680,7 +682,7 @@ impl Flow {
         let ranges = (self.size * length_s).floor();
         let rest_s = if ranges > 0.0 { length_s - ranges / self.size } else { length_s };
         let mut state = series(&self.a, x, g, rest_s);
-        let mut left = ranges as u64;
+        let mut left = whole(ranges);
         for power in &self.powers {
             if left & 1 == 1 {
                 state = power.apply(state, g);
