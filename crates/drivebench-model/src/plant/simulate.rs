@@ -31,6 +31,7 @@ use super::run_scales::RunScales;
 use super::scenario::{Input, REFERENCE_SUPPLY_V, Scenario};
 use crate::numerics::count::whole;
 use crate::numerics::root;
+use crate::numerics::statistics::largest;
 
 /// Longest sub-step with effects, in times of response: resolves voltage drops at current reversals and Stribeck friction at reversals.
 const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
@@ -184,7 +185,8 @@ impl Plant {
         let lags = [path.speed_filter_s, path.current_filter_s].into_iter();
         let rates = lags.filter(|tau| *tau > 0.0).map(f64::recip);
         let lag = rates.fold(0.0, f64::max);
-        let rate = a[0][0].abs() + electromechanical + lag + steep::fastest(equations);
+        let rate =
+            a[0][0].abs() + electromechanical + lag + steep::fastest(equations, REFERENCE_SUPPLY_V);
         (0.25 / rate).min(RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS))
     }
 
@@ -265,7 +267,8 @@ impl Plant {
         self.equations.set_run(scenario.supply_v(), &scenario.scales);
         self.longest_step_s =
             longest_step_s(&self.equations, &scenario.scales).max(self.least_step_s);
-        self.steep = Steep::of(&self.equations, self.longest_step_s);
+        let most_v = largest(scenario.events.iter().map(|event| event.1));
+        self.steep = Steep::of(&self.equations, self.longest_step_s, most_v);
         let mut now_s = self.begin_s;
         let needs_angle = self.equations.needs_angle;
         let angles = needs_angle.then(|| scenario.shaft_angle());

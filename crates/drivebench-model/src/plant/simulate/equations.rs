@@ -291,15 +291,15 @@ impl Equations {
     }
 
     /// Current of the full supply through the resistance alone, A.
-    pub(super) fn stall_current_a(&self) -> f64 {
-        (self.motor.supply_v / self.motor.resistance_ohm).abs()
+    pub(super) fn stall_current_a(&self, voltage_v: f64) -> f64 {
+        (voltage_v / self.motor.resistance_ohm).abs()
     }
 
-    /// Change by the effects of the reciprocal electrical time constant between two currents, 1/s, at rest under the full supply:
+    /// Change by the effects of the reciprocal electrical time constant between two currents, 1/s, at rest under this voltage:
     /// `((1 + g) (R + dU/di) - R) / L` with the gain `g` of the current's rate.
-    pub(super) fn added_rate(&self, from_a: f64, to_a: f64) -> f64 {
+    pub(super) fn added_rate(&self, from_a: f64, to_a: f64, voltage_v: f64) -> f64 {
         let sums = |current_a: f64| {
-            let at = Instant { voltage_v: self.motor.supply_v, ..Instant::default() };
+            let at = Instant { voltage_v, ..Instant::default() };
             self.sums(&State::at(current_a, 0.0), &at)
         };
         let (from, to) = (sums(from_a), sums(to_a));

@@ -25,10 +25,10 @@ pub(super) struct Steep {
     cells: Vec<(f64, f64, f64)>,
 }
 
-/// The rate that effects add, in cells of the current; empty where none does.
-fn table(equations: &Equations) -> Vec<(f64, f64, f64)> {
-    // Twice the stall current at the full supply: the current of a reversal (plugging) at full speed.
-    let most_a = 2.0 * equations.stall_current_a();
+/// The rate that effects add under a voltage, in cells of the current; empty where none does.
+fn table(equations: &Equations, most_v: f64) -> Vec<(f64, f64, f64)> {
+    // Twice the stall current: that of a reversal (plugging) at full speed.
+    let most_a = 2.0 * equations.stall_current_a(most_v);
     if equations.is_linear() || equations.input != Input::Voltage || !most_a.is_finite() {
         return Vec::new();
     }
@@ -41,20 +41,20 @@ fn table(equations: &Equations) -> Vec<(f64, f64, f64)> {
     };
     let cell = |index: usize| {
         let (from_a, to_a) = (grid(index), grid(index + 1));
-        (from_a, to_a, equations.added_rate(from_a, to_a))
+        (from_a, to_a, equations.added_rate(from_a, to_a, most_v))
     };
     (0..2 * side).map(cell).collect()
 }
 
-/// The fastest rate that effects add at any current, 1/s.
-pub(super) fn fastest(equations: &Equations) -> f64 {
-    table(equations).into_iter().fold(0.0, |most, (_, _, rate)| most.max(rate))
+/// The fastest rate that effects add at any current under voltages of up to `most_v`, 1/s.
+pub(super) fn fastest(equations: &Equations, most_v: f64) -> f64 {
+    table(equations, most_v).into_iter().fold(0.0, |most, (_, _, rate)| most.max(rate))
 }
 
 impl Steep {
-    /// The stiff cells for sub-steps of up to `longest_step_s`: rate times step above one, half of the limit of stability.
-    pub(super) fn of(equations: &Equations, longest_step_s: f64) -> Self {
-        let mut cells = table(equations);
+    /// The stiff cells for sub-steps of up to `longest_step_s` under voltages of up to `most_v`: rate times step above one, half of the limit of stability.
+    pub(super) fn of(equations: &Equations, longest_step_s: f64, most_v: f64) -> Self {
+        let mut cells = table(equations, most_v);
         cells.retain(|(_, _, rate)| rate * longest_step_s > 1.0);
         Self { cells }
     }

@@ -231,7 +231,7 @@ fn no_place_is_steep_on_an_ordinary_motor() {
         let mut equations = Equations::new(&model(effects), Input::Voltage).unwrap();
         equations.set_run(110.0, &RunScales::REFERENCE);
         let steep =
-            Steep::of(&equations, RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS));
+            Steep::of(&equations, RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS), 110.0);
         assert!(steep.is_empty(), "{effects:?}");
     }
 }
