@@ -288,17 +288,6 @@ fn compared(data: Evidence) -> Comparison {
 }
 
 #[test]
-fn the_location_names_equation_and_axis() {
-    let peak = compared(evidence(&truth("stribeck_friction", &[0.3, 12.0]), 6));
-    let first = &peak.locations[0];
-    assert_eq!((first.equation, first.variable), ("torque", "speed_rad_s"), "{first:?}");
-    assert!(first.from < 0.0 && first.to > 0.0, "{first:?}");
-    assert!(!peak.residual.white);
-    let drop = compared(evidence(&truth("voltage_drop", &[1.5]), 6));
-    assert_eq!(drop.locations[0].equation, "voltage");
-}
-
-#[test]
 fn a_fitted_model_without_predictive_power_has_no_locations_and_a_given_one_has() {
     let data = evidence(&nameplate(), 6);
     let mut heavy = nameplate();

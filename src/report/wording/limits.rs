@@ -39,10 +39,9 @@ pub fn limit(limit: &Limit) -> String {
         }
         Limit::OffsetOfRun { run, offset_s } => {
             let side = if *offset_s < 0.0 { "earlier" } else { "later" };
-            let offset_ms = 1e3 * offset_s.abs();
             format!(
-                "the commands of {run} act {offset_ms:.2} ms {side} than those of the fitted run, against their stamps: the clocks were \
-                 compared anew, and this is taken into account"
+                "the commands of {run} act {:.2} ms {side} than those of the fitted run, which is taken into account",
+                1e3 * offset_s.abs()
             )
         }
         Limit::TorqueBalance { derivation: of } => {

@@ -18,9 +18,6 @@ use crate::numerics::statistics::{extent, largest, mean, median};
 
 /// Smaller changes, as a share of the range of the voltage, are the last digit of a reading.
 const SMALL_CHANGE: f64 = 0.01;
-/// Change before or after another one, as a share of it, from which on the voltage runs instead of stepping: a battery sags by a
-/// quarter of a step in the row after it, and the rows of a ramp change alike.
-const RUNNING_CHANGE: f64 = 0.5;
 /// Share of the largest current below which a drop of voltage may not have reached its level.
 const SMALL_CURRENT: f64 = 0.1;
 /// Fewest changes that decide.
@@ -69,13 +66,14 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<Edge> {
     changes.iter().zip(shares).map(|(own, share)| own.edge(record, share)).collect()
 }
 
-/// Whether the input steps from a level to another one at a row.
+/// Whether the input steps from a level to another one at a row, and does not run: in the row after a step a battery sags by a quarter
+/// of it, and the rows of a ramp change alike.
 fn is_step(input: &[(f64, f64)], row: usize) -> bool {
     let change = |row: usize| match (input.get(row.wrapping_sub(1)), input.get(row)) {
         (Some(before), Some(after)) => (after.1 - before.1).abs(),
         _ => 0.0,
     };
-    change(row - 1).max(change(row + 1)) < RUNNING_CHANGE * change(row)
+    2.0 * change(row - 1).max(change(row + 1)) < change(row)
 }
 
 /// The interval before a row.
