@@ -39,10 +39,8 @@ pub fn limit(limit: &Limit) -> String {
         }
         Limit::OffsetOfRun { run, offset_s } => {
             let side = if *offset_s < 0.0 { "earlier" } else { "later" };
-            format!(
-                "the commands of {run} act {:.2} ms {side} than those of the fitted run, which is taken into account",
-                1e3 * offset_s.abs()
-            )
+            let ms = 1e3 * offset_s.abs();
+            format!("commands of {run} act {ms:.2} ms {side} than in the fitted run: taken out")
         }
         Limit::TorqueBalance { derivation: of } => {
             format!("errors are those of the torque balance ({})", derivation(of))
