@@ -89,7 +89,7 @@ pub(super) fn first(
         .or_else(|| unsearched(inference.is_cut(), named, &errors))
         .or_else(|| unresolved(bench, named, rungs))
         .or_else(|| at_bound(bench, inference, named, rungs))
-        .or_else(|| without_size(named, rungs))
+        .or_else(|| without_size(bench, named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
@@ -171,11 +171,22 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
     })
 }
 
-/// The last named effect whose size is not significant in the fit with all of them.
-fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+/// The last named effect whose size is not significant in the fit with all of them, or is a seventh of the lag that the speed is known
+/// to have: its time and its kind are known to that.
+fn without_size(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
+    let known_s = bench.evidence.training.sensors.speed.total_s() / 7.0;
+    let is_of_known_lag = |id: &str| {
+        let mut own = fit.model.effects.iter().filter(|active| active.id() == id);
+        own.any(|active| {
+            let path = active.effect.terms(&active.values_or_guess()).path();
+            (f64::MIN_POSITIVE..=known_s).contains(&(path.speed_delay_s + path.speed_filter_s))
+        })
+    };
     let mut named = named.iter().rev().copied();
-    let effect = named.find(|id| fit.is_significant(id, SIGNIFICANT_SIGMAS) == Some(false))?;
+    let effect = named.find(|id| {
+        fit.is_significant(id, SIGNIFICANT_SIGMAS) == Some(false) || is_of_known_lag(id)
+    })?;
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 

@@ -52,15 +52,4 @@ mod tests {
         assert_eq!(iterations_of(4_000_000, 25), 10);
         assert_eq!(iterations_of(u64::MAX, 25), FEWEST_ITERATIONS);
     }
-
-    #[test]
-    fn a_budget_is_spent_by_what_is_added_to_it() {
-        let work = Work::default();
-        work.add(MOST_STEPS / 10);
-        assert!(!work.is_spent_by_a_refit());
-        work.add(MOST_STEPS - MOST_STEPS / 10 - 1);
-        assert!(work.is_spent_by_a_refit() && !work.is_spent());
-        work.add(1);
-        assert!(work.is_spent());
-    }
 }
