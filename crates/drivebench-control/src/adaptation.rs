@@ -163,9 +163,7 @@ impl LoadEstimator {
         }
         self.row.charge += 0.5 * (current + last_current) * period_s;
         self.row.time_s += period_s;
-        let Some(row) = self.row.push(speed, period_s, self.span_s) else {
-            return false;
-        };
+        let Some(row) = self.row.push(speed, period_s, self.span_s) else { return false };
         let regressor = [row.charge, -speed.signum() * row.time_s];
         let noise = RowNoise { carry: 1.0, continues: self.continues };
         self.continues = true;

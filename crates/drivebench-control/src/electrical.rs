@@ -52,9 +52,7 @@ impl Electrical {
             other.motor.set(MotorKey::Inductance, factor * l);
             LinearPlant::voltage(&other, viscous_n_m_s_per_rad)
         };
-        let (Ok(short), Ok(long)) = (plant(1.0 / RANGE), plant(RANGE)) else {
-            return Ok(None);
-        };
+        let (Ok(short), Ok(long)) = (plant(1.0 / RANGE), plant(RANGE)) else { return Ok(None) };
         let schedule = |plant: &LinearPlant, factor: f64| {
             let scaled = draws.iter().map(|draw| draw.with_inductance_ratio(factor));
             Schedule::new(plant, &scaled.collect::<Vec<_>>(), timing, request)
@@ -91,9 +89,7 @@ impl Electrical {
 
     pub(super) fn push(&mut self, now: &Measured, period_s: f64) {
         self.time_s += period_s;
-        let Some(current) = now.current_a else {
-            return;
-        };
+        let Some(current) = now.current_a else { return };
         self.scheme.set_limited(now.limited);
         self.scheme.push(self.time_s, current, now.speed_rad_s);
         self.until_evaluation = self.until_evaluation.saturating_sub(1);
@@ -126,9 +122,7 @@ impl Electrical {
     /// Gains for an inertia within two ratios to the model's, `base` at the model's Ta, at the Ta that was found; they keep
     /// their margin over two standard deviations of it.
     pub(super) fn at(&self, base: Scheduled, low: f64, ratio: f64) -> Scheduled {
-        let Some((found, std)) = self.found else {
-            return base;
-        };
+        let Some((found, std)) = self.found else { return base };
         let at = |electrical: f64| {
             let position = electrical.clamp(1.0 / RANGE, RANGE).ln() / RANGE.ln();
             let bound = [&self.shortest, &self.longest][usize::from(position > 0.0)];

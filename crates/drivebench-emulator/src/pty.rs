@@ -66,9 +66,7 @@ impl Claim {
 
 /// Whether `stable` may be made a link: nothing is there, or a link to a pseudo-terminal.
 fn check_free(stable: &Path) -> io::Result<()> {
-    let Ok(existing) = fs::symlink_metadata(stable) else {
-        return Ok(());
-    };
+    let Ok(existing) = fs::symlink_metadata(stable) else { return Ok(()) };
     let taken = |what: String| Err(io::Error::new(ErrorKind::AlreadyExists, what));
     if !existing.file_type().is_symlink() {
         return taken("something that is not a symlink is there".to_owned());

@@ -204,9 +204,7 @@ pub(super) fn lacks_torque_constant(model: &Model, scenario: &Scenario) -> bool 
 
 /// Not observable, with the ratio to the unknown torque constant in the reason.
 pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
-    let (Some(value), Some(std)) = (found.value, found.std) else {
-        return found;
-    };
+    let (Some(value), Some(std)) = (found.value, found.std) else { return found };
     let reason = format!(
         "known only relative to the torque constant: {} {} per N.m/A; give torque_n_m_per_a or \
          back_emf_v_s_per_rad, or run once more with a known added inertia",

@@ -29,9 +29,7 @@ pub(super) fn explain(
     if !parameters.iter_mut().any(|parameter| is_open(&parameter)) {
         return;
     }
-    let Some(bound) = CramerRaoBound::of(fit, given, scenario) else {
-        return;
-    };
+    let Some(bound) = CramerRaoBound::of(fit, given, scenario) else { return };
     for parameter in parameters.iter_mut().filter(is_open) {
         if let Some((code, reason)) = bound.reason(&parameter.key, fit, misfit, scenario) {
             parameter.set(Verdict::NotObservable, code, reason);

@@ -39,9 +39,7 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
     (known.fixed).retain(|key| !prefixes.iter().any(|prefix| key.starts_with(prefix)));
     for active in searched {
         let tried = Trial::new(&known, scenario, noise)?.all(model, active)?;
-        let Some(best) = tried.first() else {
-            return Err(cannot_simulate(scenario));
-        };
+        let Some(best) = tried.first() else { return Err(cannot_simulate(scenario)) };
         starts.chosen.extend(choices(active, &tried));
         known.effects.push(best.active.clone());
         for start in &mut starts.models {

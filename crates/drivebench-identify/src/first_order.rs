@@ -139,9 +139,7 @@ impl FirstOrder {
 
     /// The lag as estimates, for a run that has no current; empty without a fit.
     pub fn estimates(run: &Scenario) -> Vec<ParameterEstimate> {
-        let Some((found, deviations)) = Self::refined(run) else {
-            return Vec::new();
-        };
+        let Some((found, deviations)) = Self::refined(run) else { return Vec::new() };
         let all = [
             ("gain_rad_s_per_v", "rad/s/V", found.gain_rad_s_per_v),
             ("time_constant_s", "s", found.time_constant_s),

@@ -208,9 +208,7 @@ pub fn widen_by_forms_of_torque(
 ) {
     let mut largest: Vec<Option<(f64, f64, &str)>> = vec![None; parameters.len()];
     for form in forms_that_bias(BiasedFit::TorqueBalance) {
-        let Some(with) = with_form(form) else {
-            continue;
-        };
+        let Some(with) = with_form(form) else { continue };
         let is_form = |found: &&ParameterEstimate| !parameters.iter().any(|p| p.key == found.key);
         let coefficient = with.iter().find(is_form).and_then(ParameterEstimate::carried);
         let Some((size, Some(std))) = coefficient.filter(|found| found.1 > Some(0.0)) else {

@@ -145,9 +145,7 @@ pub fn refuse(parameters: &mut [ParameterEstimate], motor: &Motor, scenario: &Sc
     let extents = Extents::of(scenario, motor);
     for parameter in parameters.iter_mut() {
         let is_given = parameter.verdict == Verdict::Fixed;
-        let Some(value) = parameter.value.filter(|_| !is_given) else {
-            continue;
-        };
+        let Some(value) = parameter.value.filter(|_| !is_given) else { continue };
         let of_effect = || {
             let (most, why) = extents.of_effect(parameter.unit);
             (-most, most, why)

@@ -100,9 +100,7 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
     let matrix = DMatrix::from_fn(levels.len(), 3, |row, column| cells[column][row]);
     let right = DVector::from_vec(column(|own| own.voltage_v));
     let blocks: Vec<usize> = (0..levels.len()).collect();
-    let Some(solution) = least_squares::solve(&matrix, &right, &blocks) else {
-        return Vec::new();
-    };
+    let Some(solution) = least_squares::solve(&matrix, &right, &blocks) else { return Vec::new() };
     let (bread, _) = least_squares::inverse_where_determined(&matrix);
     let noise: f64 = levels.iter().map(|own| own.noise_a2).sum();
     // Errors in variables: the part of the current that the other columns do not explain has to have ten times the power of its

@@ -132,9 +132,7 @@ fn one(
 /// the spread of the runs.
 fn differing(joint: &ParameterEstimate, spread: Option<f64>) -> ParameterEstimate {
     let mut joint = joint.clone();
-    let (Some(spread), Some(value)) = (spread, joint.value) else {
-        return joint;
-    };
+    let (Some(spread), Some(value)) = (spread, joint.value) else { return joint };
     joint.std = joint.std.map(|std| std.max(spread));
     let percent = 100.0 * spread / value.abs().max(f64::MIN_POSITIVE);
     if percent > 100.0 * SETTLED {

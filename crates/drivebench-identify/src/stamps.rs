@@ -61,9 +61,7 @@ pub fn widen(parameters: &mut [ParameterEstimate], late: &[ParameterEstimate], p
         else {
             continue;
         };
-        let Some(key) = MotorKey::from_key(&parameter.key) else {
-            continue;
-        };
+        let Some(key) = MotorKey::from_key(&parameter.key) else { continue };
         let wider = std.hypot((shifted - value) / 3f64.sqrt());
         let judged = judge(&Slot::Motor(key), value, Some(wider), period_s);
         if parameter.verdict == Verdict::Settled || judged.value.is_none() {

@@ -85,9 +85,7 @@ fn at_20_c(
 
 /// Temperatures over the scored rows.
 fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
-    let Some((first_s, last_s)) = scored_s(scenario) else {
-        return Vec::new();
-    };
+    let Some((first_s, last_s)) = scored_s(scenario) else { return Vec::new() };
     let points = run.points(Channel::Temperature);
     let scored = points.filter(|point| point.0 >= first_s && point.0 <= last_s);
     scored.map(|point| point.1).collect()

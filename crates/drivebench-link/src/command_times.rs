@@ -64,9 +64,7 @@ mod tests {
     fn delays_and_waits_of_a_profile_are_all_allowed() {
         let least = CommandTimes::default();
         for name in DriveProfile::names() {
-            let Some(map) = DriveProfile::named(name).unwrap().registers else {
-                continue;
-            };
+            let Some(map) = DriveProfile::named(name).unwrap().registers else { continue };
             let times = CommandTimes::of(&map.commands);
             let (enable_s, stop_s, reset_s) = match name {
                 // Waits of 1, 2 and 2 s; 10 s for the ramp.

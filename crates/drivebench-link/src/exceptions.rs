@@ -103,9 +103,7 @@ pub(super) struct BusyPauses(u32);
 impl BusyPauses {
     /// 20 ms doubled up to 160 ms, ten of them: 1.3 s in all.
     pub(super) fn next(&mut self, error: &LinkError) -> Option<Duration> {
-        let LinkError::Exception { code: 5 | 6, requested, .. } = error else {
-            return None;
-        };
+        let LinkError::Exception { code: 5 | 6, requested, .. } = error else { return None };
         if !matches!(requested.function, 3 | 4 | 43) || self.0 == 10 {
             return None;
         }

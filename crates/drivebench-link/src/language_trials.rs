@@ -100,9 +100,7 @@ impl Device for Numbering {
     fn receive(&mut self, bytes: &[u8]) -> Vec<(Duration, Vec<u8>)> {
         let ms = Duration::from_micros;
         self.pending.extend_from_slice(bytes);
-        let Some(mut reply) = self.reply() else {
-            return Vec::new();
-        };
+        let Some(mut reply) = self.reply() else { return Vec::new() };
         let usual = ms(1000 + self.random(300));
         if self.random(256) >= self.faulty {
             return vec![(usual, reply)];

@@ -39,9 +39,7 @@ pub fn refusal(profile: &DriveProfile, purpose: Purpose) -> Option<String> {
 /// Properties of each measured quantity: origin, sign, side, basis, delays. Empty for our own map, whose
 /// telemetry is instantaneous (firmware-protocol/SPEC.md).
 pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
-    let Some(map) = &profile.registers else {
-        return Vec::new();
-    };
+    let Some(map) = &profile.registers else { return Vec::new() };
     let signals = map.signals.iter().filter_map(|signal| {
         let (channel, _) = signal.channel?;
         Some((channel, properties(signal)))
@@ -80,9 +78,7 @@ fn properties(signal: &Signal) -> String {
 
 /// Remarks for the user of this drive, in addition to what it cannot do.
 pub fn remarks(profile: &DriveProfile) -> Vec<String> {
-    let Some(map) = &profile.registers else {
-        return Vec::new();
-    };
+    let Some(map) = &profile.registers else { return Vec::new() };
     let mut remarks: Vec<String> = map.device.note.clone().into_iter().collect();
     for (channel, reason) in &map.missing {
         remarks.push(format!("{channel} is missing: {reason}"));

@@ -321,9 +321,7 @@ impl<B: CellBus> ProfiledLink<B> {
 
     /// Silence longer than the drive's watchdog: an old set-point must not act again with the next write.
     fn lapse(&mut self, now_s: f64) -> Result<()> {
-        let Some(watchdog_s) = self.has_lapsed(now_s) else {
-            return Ok(());
-        };
+        let Some(watchdog_s) = self.has_lapsed(now_s) else { return Ok(()) };
         let silence_s = now_s - self.kicked_s;
         // A drive that its watchdog has stopped may refuse the words of a stop.
         gone(self.give_up())?;
@@ -394,9 +392,7 @@ impl<B: CellBus> ProfiledLink<B> {
     /// Carries the command under way as far as it goes now.
     fn advance(&mut self) -> Result<()> {
         self.points.is_urgent = matches!(self.mode, Mode::Stopping(_));
-        let Some((next, sequence, unacknowledged)) = self.go_on()? else {
-            return Ok(());
-        };
+        let Some((next, sequence, unacknowledged)) = self.go_on()? else { return Ok(()) };
         match next {
             // Writes without acknowledgement are repeated before the stop is over.
             Next::Done if sequence.is_unacknowledged() => {}
@@ -634,9 +630,7 @@ impl<B: CellBus> ProfiledLink<B> {
         let runs = self.state() == DriveState::Running;
         let watchdog = &self.map.watchdog;
         let set_s = watchdog.set_s().filter(|_| !runs);
-        let Some((location, unit_s)) = watchdog.time else {
-            return Ok(watchdog.default_s());
-        };
+        let Some((location, unit_s)) = watchdog.time else { return Ok(watchdog.default_s()) };
         if let Some(set_s) = set_s {
             let cells = location.layout.encode(set_s / unit_s).ok_or_else(|| {
                 self.refused(format!("watchdog time {set_s} s does not fit its register"))

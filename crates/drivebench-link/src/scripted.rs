@@ -38,9 +38,7 @@ impl<S: FnMut(usize, &[u8]) -> Vec<Delayed> + Send> Device for Scripted<S> {
 }
 
 fn take_request(received: &mut Vec<u8>) -> Option<Vec<u8>> {
-    let Length::Known(length) = request_len(received.get(1..)?) else {
-        return None;
-    };
+    let Length::Known(length) = request_len(received.get(1..)?) else { return None };
     (received.len() >= length + 3).then(|| received.drain(..length + 3).collect())
 }
 

@@ -137,9 +137,7 @@ pub fn holder_names(path: &Path) -> Option<String> {
 
 /// The device behind symbolic links, as the system names it (without the root folder).
 fn device_file(root: &Path, path: &Path) -> PathBuf {
-    let Ok(real) = fs::canonicalize(below(root, path)) else {
-        return path.to_owned();
-    };
+    let Ok(real) = fs::canonicalize(below(root, path)) else { return path.to_owned() };
     let root = fs::canonicalize(root).unwrap_or_else(|_| root.to_owned());
     real.strip_prefix(root).map_or(real.clone(), |inside| Path::new("/").join(inside))
 }

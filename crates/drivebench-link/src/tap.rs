@@ -118,9 +118,7 @@ impl TapFile {
     }
 
     fn end(&mut self) -> io::Result<()> {
-        let Some(writer) = self.writer.take() else {
-            return Ok(());
-        };
+        let Some(writer) = self.writer.take() else { return Ok(()) };
         // A writer that has failed takes nothing more; its result holds the reason.
         let _ = self.sender.send(Message::End);
         writer.join().unwrap_or_else(|_| Err(io::Error::other("the writer broke off")))

@@ -355,9 +355,7 @@ impl Reception {
             let reply = search.reply;
             self.book(search, behind);
             // A second reply to the request that has been answered.
-            let Some((begin, end)) = reply else {
-                return foreign;
-            };
+            let Some((begin, end)) = reply else { return foreign };
             self.line.stale_frames += 1;
             if let Some(code) = Code::of(self.kind, &rest[begin..end]) {
                 self.old_replies.push(OldReply { code, behind });

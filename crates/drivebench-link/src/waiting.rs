@@ -30,9 +30,7 @@ pub(super) fn now() -> Instant {
 
 /// On a thread in virtual time: sets it forward.
 pub(super) fn skip_to(at: Instant) -> bool {
-    let Some(now) = NOW.get() else {
-        return false;
-    };
+    let Some(now) = NOW.get() else { return false };
     NOW.set(Some(now.max(at)));
     #[cfg(test)]
     alarm::ring(now.max(at));

@@ -389,9 +389,7 @@ impl Task<'_> {
         let hertz = |found: &Found| {
             self.loops.nominal(&found.gains).margins().bandwidth_rad_s / std::f64::consts::TAU
         };
-        let Some(coupling) = self.plant.coupling() else {
-            return without;
-        };
+        let Some(coupling) = self.plant.coupling() else { return without };
         let before_hz = without.as_ref().ok().filter(|found| self.holds(found)).map_or(0.0, hertz);
         let mut best: Option<(f64, Notch, Found)> = None;
         let mut refused = without;

@@ -7,9 +7,7 @@ use drivebench_link::{CellTable, KickedBy};
 
 impl ForeignDrive {
     pub fn answer(&mut self, request: &[u8]) -> Vec<u8> {
-        let Some(&function) = request.first() else {
-            return Vec::new();
-        };
+        let Some(&function) = request.first() else { return Vec::new() };
         let writes = matches!(function, 6 | 16 | 22 | 23);
         let refusing = self.refusing.or(self.refusing_writes.filter(|_| writes));
         let is_known = self.map.functions.contains(&function);

@@ -61,9 +61,7 @@ pub(super) fn identification_objects(map: &RegisterMap) -> Vec<(u8, String)> {
         (2, env!("CARGO_PKG_VERSION").to_owned()),
     ];
     for check in &map.identity {
-        let IdentityCheck::Object { object, contains } = check else {
-            continue;
-        };
+        let IdentityCheck::Object { object, contains } = check else { continue };
         match objects.iter_mut().find(|(known, _)| known == object) {
             Some((_, text)) if text.contains(contains.as_str()) => {}
             Some((_, text)) => {

@@ -470,9 +470,7 @@ impl ForeignDrive {
             if self.hindrance.is_some() {
                 continue;
             }
-            let Some(number) = self.value(point) else {
-                continue;
-            };
+            let Some(number) = self.value(point) else { continue };
             if self.sequence.take(&map, &point.name, number, self.fault.is_some()) {
                 self.fault = None;
                 self.seq = self.seq.wrapping_add(1);

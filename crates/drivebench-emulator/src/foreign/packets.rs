@@ -79,9 +79,7 @@ fn vesc_packet(bytes: &[u8]) -> Whole {
     if length > 512 {
         return Whole::Not;
     }
-    let Some(tail) = bytes.get(begin + length..begin + length + 3) else {
-        return Whole::Yet;
-    };
+    let Some(tail) = bytes.get(begin + length..begin + length + 3) else { return Whole::Yet };
     let payload = &bytes[begin..begin + length];
     let crc = crc16(0x1021, payload);
     let [crc_high, crc_low] = crc.to_be_bytes();
@@ -101,9 +99,7 @@ fn dynamixel_packet(bytes: &[u8]) -> Whole {
     if !(3..=256).contains(&length) {
         return Whole::Not;
     }
-    let Some(packet) = bytes.get(..7 + length) else {
-        return Whole::Yet;
-    };
+    let Some(packet) = bytes.get(..7 + length) else { return Whole::Yet };
     let (checked, crc) = packet.split_at(5 + length);
     if crc16(0x8005, checked).to_le_bytes() != crc {
         return Whole::Not;
@@ -184,9 +180,7 @@ impl ForeignDrive {
         let point = map.set_points.iter().find(|point| point.location.table == table);
         // A line without a number is a command for itself.
         let value = if value.is_empty() { "0" } else { value };
-        let (Some(point), Ok(value)) = (point, value.parse::<f64>()) else {
-            return;
-        };
+        let (Some(point), Ok(value)) = (point, value.parse::<f64>()) else { return };
         let location = point.location;
         let [b3, b2, b1, b0] = bits(location.layout.kind, value).to_be_bytes();
         self.written(location.address, u16::from_be_bytes([b3, b2]));
@@ -260,9 +254,7 @@ impl ForeignDrive {
     fn take_command(&mut self, command: u8, value: &[u8]) {
         let map = std::sync::Arc::clone(&self.map);
         let mut points = map.set_points.iter();
-        let Some(point) = points.find(|point| point.function == command) else {
-            return;
-        };
+        let Some(point) = points.find(|point| point.function == command) else { return };
         self.written.clear();
         for (address, byte) in (point.location.address..).zip(value) {
             self.written(address, (*byte).into());
@@ -275,9 +267,7 @@ impl ForeignDrive {
         body: &[u8],
         may_command: &mut dyn FnMut() -> bool,
     ) -> Option<Vec<u8>> {
-        let [id, instruction, parameters @ ..] = body else {
-            return None;
-        };
+        let [id, instruction, parameters @ ..] = body else { return None };
         if *id != self.unit {
             return None;
         }

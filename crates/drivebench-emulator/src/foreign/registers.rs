@@ -136,12 +136,8 @@ impl ForeignDrive {
         let mut word = None;
         for signal in &map.signals {
             let mut raw = |name: &str| map.signal(name).map(|decides| self.pattern(decides));
-            let Some(at) = signal.placed(&mut raw) else {
-                continue;
-            };
-            let Some(offset) = address.checked_sub(at.address) else {
-                continue;
-            };
+            let Some(at) = signal.placed(&mut raw) else { continue };
+            let Some(offset) = address.checked_sub(at.address) else { continue };
             if at.table != table || offset >= at.layout.cells() {
                 continue;
             }
@@ -282,9 +278,7 @@ impl ForeignDrive {
     pub(super) fn factor(&self, scale_by: &[String]) -> f64 {
         let nameplate = &self.nameplate;
         let value = |name: &str| {
-            let Some(signal) = self.map.signal(name) else {
-                return Some(1.0);
-            };
+            let Some(signal) = self.map.signal(name) else { return Some(1.0) };
             let natural = match signal.keys.quantity {
                 Quantity::RatedCurrent => nameplate.rated_current_a,
                 Quantity::RatedVoltage => nameplate.rated_voltage_v,

@@ -50,9 +50,7 @@ impl Scaled {
     ) -> Option<usize> {
         let mut moved = 0;
         for (key, power) in KEYS.into_iter().zip(self.powers()) {
-            let Some(found) = ratio(key) else {
-                continue;
-            };
+            let Some(found) = ratio(key) else { continue };
             if (found.ln() - f64::from(power) * factor.ln()).abs() > tolerance(key) {
                 return None;
             }

@@ -211,9 +211,7 @@ impl Escalation {
 
     /// Evaluates the record of the stage.
     pub fn learn(&mut self, run: &Run) -> Result<(), ScenarioError> {
-        let Next::Run(stage) = &self.next else {
-            return Ok(());
-        };
+        let Next::Run(stage) = &self.next else { return Ok(()) };
         let stage = stage.clone();
         let scenario = scenario_of(run)?;
         let observation = Observation::of(&scenario, run, &self.bounds);
@@ -496,9 +494,7 @@ impl Escalation {
     }
 
     fn found(&self) -> Next {
-        let Some((_, turned)) = &self.best else {
-            return not_identified(NOTHING);
-        };
+        let Some((_, turned)) = &self.best else { return not_identified(NOTHING) };
         Next::Over(Box::new(Outcome::Found(Found {
             motor: turned.motor.clone(),
             parameters: turned.parameters.clone(),

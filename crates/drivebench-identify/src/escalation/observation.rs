@@ -365,9 +365,7 @@ impl Turned {
         let worst = self.parameters.iter().find(|p| {
             MotorKey::from_key(&p.key).is_some_and(counts) && p.verdict != Verdict::Settled
         });
-        let Some(p) = worst else {
-            return "the estimates did not settle".to_owned();
-        };
+        let Some(p) = worst else { return "the estimates did not settle".to_owned() };
         format!("{}: {}", p.key, p.reason.as_deref().unwrap_or("not settled"))
     }
 }

@@ -98,9 +98,7 @@ pub fn compared(
 impl Compared {
     /// Measured resonances of the mechanics that the model does not have, as of an elastic coupling.
     pub fn missing_resonances(&self) -> Vec<Mode> {
-        let Some(model) = &self.model else {
-            return Vec::new();
-        };
+        let Some(model) = &self.model else { return Vec::new() };
         let is_of_mechanics = |mode: &&Mode| {
             mode.kind == ModeKind::Resonance && mode.pathway == Pathway::CurrentToSpeed
         };
@@ -123,9 +121,7 @@ impl Compared {
 
 /// Runs with another response than the first one, over which no mean may be taken.
 fn disagreements(scenarios: &[Scenario]) -> Result<Vec<String>, FrequencyResponseError> {
-    let [first, others @ ..] = scenarios else {
-        return Ok(Vec::new());
-    };
+    let [first, others @ ..] = scenarios else { return Ok(Vec::new()) };
     let mut sentences = Vec::new();
     if others.is_empty() {
         return Ok(sentences);

@@ -568,9 +568,7 @@ impl Estimator {
     fn modes(&self, locals: &[Vec<Option<Local>>], pathways: &[PathwayResponse]) -> Vec<Mode> {
         let lines: Vec<Lines> =
             (0..self.stretches.len().min(3)).map(|stretch| self.lines(stretch, locals)).collect();
-        let Some(found) = rational::fit(&lines, self.period_s) else {
-            return Vec::new();
-        };
+        let Some(found) = rational::fit(&lines, self.period_s) else { return Vec::new() };
         let outputs: Vec<usize> = (0..2).filter(|output| self.has[*output]).collect();
         let zeros = |output: usize| {
             let at = outputs.iter().position(|own| *own == output);
@@ -659,16 +657,12 @@ fn has_extremum(mode: &Mode, points: &[ResponsePoint]) -> bool {
     let [first, last] = [1.0 - band, 1.0 + band].map(|factor| index_of(mode.frequency_hz * factor));
     let height = |point: &ResponsePoint| sign * point.magnitude.ln();
     let near = points.get(first..=last).into_iter().flatten();
-    let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else {
-        return false;
-    };
+    let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else { return false };
     // The sides lie three dampings away.
     let distance = (3.0 * mode.damping_ratio).clamp(2.0 * SETTINGS.peak_band, 0.6);
     let sides =
         [1.0 - distance, 1.0 / (1.0 - distance)].map(|factor| index_of(mode.frequency_hz * factor));
-    let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else {
-        return false;
-    };
+    let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else { return false };
     let contrast = height(top) - 0.5 * (height(below) + height(above));
     let of_sides = below.half_width().hypot(above.half_width());
     let uncertainty = top.half_width().hypot(0.5 * of_sides);

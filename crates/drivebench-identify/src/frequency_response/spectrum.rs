@@ -57,9 +57,7 @@ impl Phasor {
 /// Of a signal that holds each value until the next: `sum v (e(t0) - e(t1)) / (j w)`. The mean is left out; `pieces` end
 /// where the next begins, the last at `end_s`.
 pub(super) fn of_held(pieces: &[Point], end_s: f64, frequency_hz: f64) -> Complex<f64> {
-    let Some(&(begin_s, _)) = pieces.first() else {
-        return Complex::new(0.0, 0.0);
-    };
+    let Some(&(begin_s, _)) = pieces.first() else { return Complex::new(0.0, 0.0) };
     let mean = drivebench_model::signal::mean(pieces, begin_s, end_s);
     let mut phasor = Phasor::at(frequency_hz, begin_s);
     let mut from = phasor.value;
@@ -78,9 +76,7 @@ pub(super) fn of_held(pieces: &[Point], end_s: f64, frequency_hz: f64) -> Comple
 pub(super) fn of_samples(time_s: &[f64], values: &[f64], frequency_hz: f64) -> Complex<f64> {
     let mut known = time_s.iter().zip(values).filter(|(_, value)| value.is_finite());
     let all = known.clone();
-    let Some((&begin_s, &first)) = known.next() else {
-        return Complex::new(0.0, 0.0);
-    };
+    let Some((&begin_s, &first)) = known.next() else { return Complex::new(0.0, 0.0) };
     let count = all.clone().count() as f64;
     let mean = all.map(|(_, value)| value).sum::<f64>() / count;
     let mut phasor = Phasor::at(frequency_hz, begin_s);

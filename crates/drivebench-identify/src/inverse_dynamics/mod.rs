@@ -167,9 +167,7 @@ impl Case<'_> {
         let mut columns = 0..;
         let estimate = |unknown: &Unknown| {
             let column = (unknown.fixed.is_none()).then(|| columns.next()).flatten();
-            let Some(column) = column else {
-                return unknown.unsolved("");
-            };
+            let Some(column) = column else { return unknown.unsolved("") };
             let found = solved.judged(column, &free, &others, (&processing, self.left_deviation));
             if relative { as_ratio(found) } else { gated(found, &unknown.slot) }
         };

@@ -153,9 +153,7 @@ pub(super) fn spanned(values: &[f64]) -> Vec<f64> {
 }
 
 fn filtered_speed(motion: Motion, part: &Part, cut_off_hz: f64, rate_hz: f64) -> Vec<f64> {
-    let Some(filter) = filter(cut_off_hz, 1.0 / rate_hz) else {
-        return Vec::new();
-    };
+    let Some(filter) = filter(cut_off_hz, 1.0 / rate_hz) else { return Vec::new() };
     let filtered = filter.zero_phase(&part.motion);
     match motion {
         Motion::Speed => filtered,

@@ -149,9 +149,7 @@ impl Kalman {
             let (value, std) = (estimate.value?, estimate.std?);
             (value > 0.0 && std < SETTINGS.certain * value).then_some(value)
         };
-        let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else {
-            return;
-        };
+        let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else { return };
         let mut spread: [f64; 5] = std::array::from_fn(|k| {
             let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
             relative.map_or(SETTINGS.start_spread, |std| {

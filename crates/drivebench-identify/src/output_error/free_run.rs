@@ -277,9 +277,7 @@ pub fn weighted_residual(
 impl Problem for FreeRun<'_> {
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool {
         let start = self.initial_state(x);
-        let Ok(mut plant) = self.plant(x) else {
-            return false;
-        };
+        let Ok(mut plant) = self.plant(x) else { return false };
         let spare = || self.spare.lock().unwrap_or_else(PoisonError::into_inner);
         let mut simulated = spare().pop().unwrap_or_default();
         plant.simulate_into(self.scenario, start, &mut simulated);

@@ -270,9 +270,7 @@ impl Scheme3 {
     /// Kt/J where it is off by as much as it is not known: by what the rows since would have it be, and by the uncertainty
     /// of that. A load that does not follow leaves the rotor's own inertia, taken as half of all at least.
     fn doubtful_acceleration(&self) -> f64 {
-        let Some(used) = self.acceleration else {
-            return 0.0;
-        };
+        let Some(used) = self.acceleration else { return 0.0 };
         let doubt = (self.balance)
             .acceleration_with_std()
             .map_or(used, |(now, std)| (now - used).hypot(std));
@@ -392,9 +390,7 @@ impl Scheme3 {
         let (first, last) = (self.readings[0], self.readings[self.readings.len() - 1]);
         let regressor =
             [charge, last.current_a - first.current_a, angle].map(|integral| integral / length_s);
-        let Some(estimator) = &mut self.starting else {
-            return;
-        };
+        let Some(estimator) = &mut self.starting else { return };
         estimator.update(&regressor, volt_s / length_s);
         let found = estimator.parameters();
         let rows = estimator.rows();
@@ -467,9 +463,7 @@ impl Scheme3 {
 
     /// Restarts from the values of the trial until a trial changes them little.
     fn end_trial(&mut self, rows: u32) {
-        let Some(best) = self.best() else {
-            return;
-        };
+        let Some(best) = self.best() else { return };
         let values = best.estimator().parameters();
         // The inductance is not needed where the transient of the winding ends between two samples.
         let needed = |j: &usize| *j != 1 || !self.is_gone(&values);
@@ -621,9 +615,7 @@ impl Scheme3 {
     }
 
     fn electrical_estimates(&self) -> Vec<ParameterEstimate> {
-        let Some(estimator) = self.electrical() else {
-            return Vec::new();
-        };
+        let Some(estimator) = self.electrical() else { return Vec::new() };
         let starting = self.tracks.is_empty();
         let values = estimator.parameters();
         let stds = match self.best() {

@@ -79,9 +79,7 @@ fn poor_data_settle_nothing() {
     }
     for run in [&standstill, &two_rows, &constant] {
         for scheme in CATALOGUE {
-            let Some(found) = found_by(scheme, run) else {
-                continue;
-            };
+            let Some(found) = found_by(scheme, run) else { continue };
             holds_the_contract(&found, scheme);
             // A steady state with a known resistance does carry the back-EMF constant and the torque.
             let steady = run.name == constant.name;

@@ -98,9 +98,7 @@ fn rectangle(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyEr
 
 /// A rectangle that is 2 % off the trapezoid is not called settled.
 fn doubt(parameter: &mut ParameterEstimate, better: &ParameterEstimate) {
-    let (Some(value), Some(other)) = (parameter.value, better.value) else {
-        return;
-    };
+    let (Some(value), Some(other)) = (parameter.value, better.value) else { return };
     let off = value / other - 1.0;
     if off.abs() <= 0.02 {
         return;
@@ -134,9 +132,7 @@ pub(super) fn with_lost_voltages(run: &Run, scenario: &Scenario) -> Result<Run, 
     let mut whole = Run::new(run.name.clone(), rows.iter().map(|row| row.0).collect())?;
     (whole.rows_dropped, whole.notes) = (run.rows_dropped, run.notes.clone());
     for channel in Channel::ALL {
-        let Some(column) = run.column(channel) else {
-            continue;
-        };
+        let Some(column) = run.column(channel) else { continue };
         let mut cells: Vec<f64> =
             (rows.iter()).map(|(_, row)| row.map_or(f64::NAN, |row| column[row])).collect();
         if channel == scenario.input_channel {

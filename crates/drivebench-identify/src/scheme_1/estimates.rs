@@ -83,9 +83,7 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         (judged.key, judged.unit) = ((*key).to_owned(), "s");
     }
     let open = matches!(judged.verdict, Verdict::NotObservable | Verdict::Invalid);
-    let Some(doubt) = claim.doubt.as_ref().filter(|_| !open) else {
-        return judged;
-    };
+    let Some(doubt) = claim.doubt.as_ref().filter(|_| !open) else { return judged };
     let better = of(&doubt.better);
     let error = value - better;
     let noise = doubt.covariance.map_or(0.0, |it| spread(&doubt.better, &it, &of));
@@ -114,9 +112,7 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
 
 /// The bias is known only within the deviation of the compared value, which is added to the uncertainty.
 fn not_better_than(noise: f64, doubt: &Doubt, judged: &mut ParameterEstimate) {
-    let (Some(value), Some(std)) = (judged.value, judged.std) else {
-        return;
-    };
+    let (Some(value), Some(std)) = (judged.value, judged.std) else { return };
     // Not finite: as if there were no better value.
     let open = if noise.is_finite() { noise } else { value.abs() };
     judged.std = Some(std.hypot(open));

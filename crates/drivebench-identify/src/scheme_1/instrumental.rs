@@ -147,9 +147,7 @@ fn refine(series: &Series<'_>, start: Dynamics) -> Result<Instrumental, Instrume
         rounds += 1;
         let found = Round::of(series, &auxiliary, &model)?.dynamics;
         let before = model.to_array();
-        let Some(better) = descend(series, &model, &auxiliary, &found) else {
-            break;
-        };
+        let Some(better) = descend(series, &model, &auxiliary, &found) else { break };
         (model, auxiliary) = better;
         let (after, sizes) = (model.to_array(), sizes(&model));
         if (0..4).all(|j| (after[j] - before[j]).abs() <= 1e-3 * sizes[j].abs()) {

@@ -91,9 +91,7 @@ fn the_interval_covers_and_coarse_sampling_widens_it() {
             let found = fit(&unknown, &run);
             for p in found.iter().flat_map(|b| &b.parameters) {
                 let expected = truth.motor.get(MotorKey::from_key(&p.key).unwrap()).unwrap();
-                let Some(value) = p.value.filter(|_| p.std.is_some()) else {
-                    continue;
-                };
+                let Some(value) = p.value.filter(|_| p.std.is_some()) else { continue };
                 all += 1;
                 inside += i32::from(covers(p, expected, 1.96));
                 if p.verdict == Verdict::Settled && (value / expected - 1.0).abs() > 0.04 {

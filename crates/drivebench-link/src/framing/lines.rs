@@ -186,9 +186,7 @@ impl Grammar {
         let answered = parts.iter().filter(|part| !part.answer.is_empty()).zip(&lines);
         let mut cells = Vec::new();
         for (part, answer) in answered {
-            let Some(line) = part.reads.and_then(|at| self.lines.get(at)) else {
-                continue;
-            };
+            let Some(line) = part.reads.and_then(|at| self.lines.get(at)) else { continue };
             let end = cells.len() + usize::from(LINE_CELLS);
             let numbers = holes(&line.answer, answer).unwrap_or_default();
             for (text, kind) in numbers.iter().zip(&line.kinds) {
@@ -196,9 +194,7 @@ impl Grammar {
             }
             cells.resize(end, 0);
         }
-        let Some(read) = turn.read else {
-            return Ok(cells);
-        };
+        let Some(read) = turn.read else { return Ok(cells) };
         let part = cells.get(usize::from(read.address)..).map(<[u16]>::to_vec);
         part.ok_or_else(|| NoData::Mismatch(format!("{text:?} has too few numbers")))
     }

@@ -161,9 +161,7 @@ impl<'a> Turn<'a> {
     /// The same read with `number` cells more in front of it, as far as there are any: a reply of this length answers it and none of
     /// the requests before it.
     pub(super) fn lengthened(self, number: u16) -> Self {
-        let Some(read) = self.read else {
-            return self;
-        };
+        let Some(read) = self.read else { return self };
         let skipped = number.min(read.address);
         let (address, count) = (read.address - skipped, read.count + skipped);
         Self { read: Some(ReadRequest { address, count, ..read }), skipped, ..self }

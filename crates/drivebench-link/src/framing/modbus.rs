@@ -155,9 +155,7 @@ fn unit_and_pdu(frame: &[u8]) -> Option<(u8, &[u8])> {
 
 /// Length of a whole frame at the start of `bytes`, if there is one with a right checksum.
 pub(crate) fn rtu_frame_len(bytes: &[u8], pdu_len: impl Fn(&[u8]) -> Length) -> Option<usize> {
-    let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else {
-        return None;
-    };
+    let Length::Known(pdu) = pdu_len(bytes.get(1..)?) else { return None };
     let (body, rest) = bytes.split_at_checked(pdu + 1)?;
     let crc = rest.first_chunk::<2>()?;
     (pdu + 3 <= rtu::MAX_FRAME && rtu::crc16(body) == u16::from_le_bytes(*crc)).then_some(pdu + 3)
@@ -195,9 +193,7 @@ pub(super) fn search_tcp(expected: &Expected, received: &[u8]) -> Result<Search,
         if (p1, p0) != (0, 0) || !(2..=tcp::MAX_FRAME - 6).contains(&length) {
             return Err(Unframeable);
         }
-        let Some(frame) = tail.get(..length + 6) else {
-            break;
-        };
+        let Some(frame) = tail.get(..length + 6) else { break };
         let response = &frame[tcp::HEADER..];
         let is_of = |request: &[u8]| request.get(..2) == frame.get(..2);
         let is_unit = request.get(6) == frame.get(6);

@@ -150,9 +150,7 @@ pub(super) fn search(expected: &Expected, received: &[u8]) -> Search {
 
 /// The cells of a reply, each a byte.
 pub(super) fn cells(reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
-    let Some(read) = turn.read else {
-        return Ok(Vec::new());
-    };
+    let Some(read) = turn.read else { return Ok(Vec::new()) };
     let first = payload(reply).map(|(payload, _)| payload).unwrap_or_default();
     let (begin, end) = match read.table {
         CellTable::Reply(_) => (1 + read.address, 1 + read.address + read.count),

@@ -241,9 +241,7 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// Reads the first block until the unit answers at all.
     fn wake(&mut self) -> Result<()> {
-        let Some(block) = self.blocks().into_iter().next() else {
-            return Ok(());
-        };
+        let Some(block) = self.blocks().into_iter().next() else { return Ok(()) };
         match retried(|| self.client.read(block.read)) {
             Ok(_) | Err(LinkError::Exception { .. }) => Ok(()),
             Err(error) => Err(error),
@@ -350,9 +348,7 @@ impl Reader<'_> {
 
     /// The time as it stands in the drive; only read.
     fn watchdog_s(&mut self) -> Result<Option<f64>> {
-        let Some((location, unit_s)) = self.map.watchdog.time else {
-            return Ok(None);
-        };
+        let Some((location, unit_s)) = self.map.watchdog.time else { return Ok(None) };
         let registers = self.ask(&[location.request()])?.into_iter().next().and_then(Result::ok);
         let pattern = registers.and_then(|registers| location.layout.pattern(&registers));
         Ok(pattern.map(|pattern| location.layout.number(pattern) * unit_s))

@@ -147,9 +147,7 @@ impl Points {
         self.running = true;
         (self.is_urgent, self.has_written) = (false, false);
         let map = Arc::clone(&self.map);
-        let Some((at, point)) = find(&map, name) else {
-            return Ok(());
-        };
+        let Some((at, point)) = find(&map, name) else { return Ok(()) };
         let now_s = far.bus.now_s();
         let mut value = wanted;
         if let Some([low, high]) = point.range() {
@@ -178,9 +176,7 @@ impl Points {
         self.running = true;
         let map = Arc::clone(&self.map);
         for (at, point) in map.set_points.iter().enumerate() {
-            let Some(refresh_s) = point.refresh_s() else {
-                continue;
-            };
+            let Some(refresh_s) = point.refresh_s() else { continue };
             if matches!(&self.joint, Joint::With(joined) if joined.at == at) {
                 continue;
             }
@@ -303,9 +299,7 @@ impl Points {
         value: f64,
     ) -> Result<()> {
         let map = Arc::clone(&self.map);
-        let Some((at, point)) = find(&map, name) else {
-            return Ok(());
-        };
+        let Some((at, point)) = find(&map, name) else { return Ok(()) };
         let sent = &self.sent[at];
         let Some(before) = sent.cells.first().copied() else {
             // Its other bits are not known, so neither is the way in which this would turn.

@@ -139,9 +139,7 @@ impl Readings {
     /// One slow block, if it is time for one.
     pub(super) fn read_slow(&mut self, bus: &mut dyn CellBus) -> Result<()> {
         let now_s = bus.now_s();
-        let Some(block) = self.slow.get(self.next_slow).cloned() else {
-            return Ok(());
-        };
+        let Some(block) = self.slow.get(self.next_slow).cloned() else { return Ok(()) };
         if now_s < self.slow_due_s {
             return Ok(());
         }
@@ -187,9 +185,7 @@ impl Readings {
         })?;
         for index in &block.signals {
             let raw = |name: &str| self.get(name)?.pattern;
-            let Some(location) = self.map.signals[*index].placed(raw) else {
-                continue;
-            };
+            let Some(location) = self.map.signals[*index].placed(raw) else { continue };
             let offset = block.read.offset_of(&location);
             let pattern = read.cells.get(offset..).and_then(|tail| location.layout.pattern(tail));
             let value = pattern.and_then(|pattern| self.value(*index, pattern));
@@ -213,9 +209,7 @@ impl Readings {
     /// Computes what depends on signals that were just read.
     fn compute(&mut self, read: &[usize], span: Span) {
         for (index, signal) in self.map.signals.iter().enumerate() {
-            let Some(formula) = &signal.formula else {
-                continue;
-            };
+            let Some(formula) = &signal.formula else { continue };
             if formula.of.iter().any(|input| read.contains(input)) {
                 let value = formula.value(|input| self.last[input].value);
                 self.last[index] = Reading { value, pattern: None, span };
@@ -283,9 +277,7 @@ pub(super) fn in_profile(
     map: &RegisterMap,
     places: &[(&str, usize)],
 ) -> LinkError {
-    let LinkError::Exception { link, request, code, name, requested } = error else {
-        return error;
-    };
+    let LinkError::Exception { link, request, code, name, requested } = error else { return error };
     let places: Vec<String> =
         places.iter().map(|(name, line)| format!("{name} in line {line}")).collect();
     LinkError::Exception {

@@ -263,9 +263,7 @@ impl Picture<'_> {
         let mut found: Vec<(bool, Candidate)> = Vec::new();
         for change in Change::all(layout) {
             let reading = self.read_as(index, change, Change::NONE, DEEPEST);
-            let Some(value) = reading.value() else {
-                continue;
-            };
+            let Some(value) = reading.value() else { continue };
             let same = |other: f64| (other - value).abs() <= 1e-9 * value.abs();
             // A change that changes nothing explains nothing.
             let candidate = Candidate {
@@ -296,9 +294,7 @@ impl Picture<'_> {
     fn of_one_signal(&self) -> Option<Hypothesis> {
         let misfits = |index: &usize| self.fits(*index, self.reading(*index)) == Some(false);
         let mut wrong = (0..self.map.signals.len()).filter(misfits);
-        let (index, None) = (wrong.next()?, wrong.next()) else {
-            return None;
-        };
+        let (index, None) = (wrong.next()?, wrong.next()) else { return None };
         let candidate = self.candidates(index).into_iter().next()?;
         let change = candidate.change.split(" (").next().unwrap_or_default();
         let fits = |index: &usize| self.fits(*index, self.reading(*index)) == Some(true);
@@ -387,9 +383,7 @@ impl Picture<'_> {
             return Reading::Unread;
         };
         let layout = change.apply(signal.location.layout);
-        let Some(pattern) = layout.pattern(registers) else {
-            return Reading::Unread;
-        };
+        let Some(pattern) = layout.pattern(registers) else { return Reading::Unread };
         signal.read(layout, pattern, self.factor(signal, of_factors, depth))
     }
 

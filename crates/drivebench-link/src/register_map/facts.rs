@@ -99,9 +99,7 @@ impl Formula {
 impl Signal {
     /// Its place, by the raw numbers of the signals that may decide on it; `None`: it has none for this number.
     pub fn placed(&self, raw: impl FnOnce(&str) -> Option<u32>) -> Option<Location> {
-        let Some(by) = &self.keys.reply_by else {
-            return Some(self.location);
-        };
+        let Some(by) = &self.keys.reply_by else { return Some(self.location) };
         let address = *by.bytes.get(&raw(&by.signal)?.to_string())?;
         Some(Location { address, ..self.location })
     }
@@ -125,9 +123,7 @@ impl Signal {
         if self.keys.invalid.contains(&pattern) {
             return Reading::NotAvailable;
         }
-        let Some(factor) = factor else {
-            return Reading::Unread;
-        };
+        let Some(factor) = factor else { return Reading::Unread };
         let raw = layout.number(pattern);
         // What is cut off is half of a step on average, and as much of either sign at zero.
         let cut = if self.keys.truncated && raw != 0.0 { 0.5 * raw.signum() } else { 0.0 };

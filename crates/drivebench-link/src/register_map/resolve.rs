@@ -233,9 +233,7 @@ impl Reader<'_> {
         let is_lines = self.link.protocol == Protocol::Lines;
         let message = "protocol \"lines\" needs [link.lines], and no other has one";
         part.require(is_lines == self.link.lines.is_some(), "protocol", message)?;
-        let Some(keys) = &self.link.lines else {
-            return Ok(None);
-        };
+        let Some(keys) = &self.link.lines else { return Ok(None) };
         let line = |(send, answer): &(String, String)| {
             let set_points = file.setpoints.values().map(Spanned::get_ref);
             let mut set_points = set_points.filter(|keys| keys.request.as_ref() == Some(send));
@@ -580,9 +578,7 @@ impl Reader<'_> {
             part.require(registers <= most, "type", message)
         };
         for Signal { name, numbers, location, keys, .. } in &map.signals {
-            let Some(span) = file.signals.get(name).map(Spanned::span) else {
-                continue;
-            };
+            let Some(span) = file.signals.get(name).map(Spanned::span) else { continue };
             if let Some(by) = &keys.reply_by {
                 let decides =
                     |s: &&Signal| s.keys.poll == PollRate::Once && s.keys.reply_by.is_none();
@@ -656,9 +652,7 @@ impl Reader<'_> {
         file: &ProfileFile,
         map: &RegisterMap,
     ) -> Result<(), ConfigError> {
-        let Some(position) = map.of_channel(Channel::Angle) else {
-            return Ok(());
-        };
+        let Some(position) = map.of_channel(Channel::Angle) else { return Ok(()) };
         let (Some(wraps_at), Some((_, count_rad)), Some(most_rpm), None) = (
             position.wraps_at,
             position.channel,

@@ -35,9 +35,7 @@ fn each_has_name_source_and_trust() {
 fn limits_come_back_from_the_raw_type() {
     for (name, _) in foreign() {
         for point in map(name).set_points {
-            let Some(limits) = point.keys.limits else {
-                continue;
-            };
+            let Some(limits) = point.keys.limits else { continue };
             let (numbers, layout) = (&point.numbers, point.location.layout);
             // A factor that the drive gives is that of its motor; any plausible one will do here.
             let is_scaled = !numbers.scale_by.is_empty();

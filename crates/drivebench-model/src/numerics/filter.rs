@@ -50,9 +50,7 @@ impl Butterworth {
     /// One pass forwards from the steady state of the first value. The phase lags.
     pub fn forward(&self, values: &[f64]) -> Vec<f64> {
         let mut out = values.to_vec();
-        let Some(&first) = values.first() else {
-            return out;
-        };
+        let Some(&first) = values.first() else { return out };
         for section in &self.sections {
             let Section { b, a } = section;
             // Every section passes a constant unchanged, so that its steady state follows from the first value.
@@ -70,9 +68,7 @@ impl Butterworth {
     /// Forwards and backwards: no phase shift, the gain squared. The ends are extended by their reflection in the end
     /// point over three times the filter's length, as `scipy.signal.sosfiltfilt` does, or over the whole of a shorter signal.
     pub fn zero_phase(&self, values: &[f64]) -> Vec<f64> {
-        let Some(&last) = values.last() else {
-            return Vec::new();
-        };
+        let Some(&last) = values.last() else { return Vec::new() };
         let first = values[0];
         let padding = (3 * (self.order + 1)).min(values.len() - 1);
         let mut padded = Vec::with_capacity(values.len() + 2 * padding);

@@ -276,9 +276,7 @@ impl Model {
     /// Checks that every given value is finite, positive where physics requires it, and within its bounds.
     pub fn validate(&self) -> Result<(), ModelError> {
         for slot in self.slots() {
-            let Some(value) = self.get(&slot) else {
-                continue;
-            };
+            let Some(value) = self.get(&slot) else { continue };
             let finite = value.is_finite();
             let (is_allowed, allowed) = match &slot {
                 Slot::Motor(MotorKey::LoadTorque) => {

@@ -212,9 +212,7 @@ pub struct MapTextError {
 fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
     const ALLOWED: &str = "a speed or angle, three torques or none, and a count";
     let cells: Vec<&str> = line.trim().split(',').collect();
-    let [middle, torques @ .., windows] = cells.as_slice() else {
-        return Err(ALLOWED);
-    };
+    let [middle, torques @ .., windows] = cells.as_slice() else { return Err(ALLOWED) };
     let number = |cell: &str| {
         let value = cell.trim().parse().ok();
         value.filter(|value: &f64| value.is_finite()).ok_or(ALLOWED)

@@ -112,9 +112,7 @@ impl UnknownInput {
 }
 
 pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
-    let Some((period_s, lost)) = lost_rows(record) else {
-        return Vec::new();
-    };
+    let Some((period_s, lost)) = lost_rows(record) else { return Vec::new() };
     let input = record.input;
     let largest = largest(input.iter().map(|row| row.1));
     let intervals = CompleteIntervals::of(record, &lost, period_s);

@@ -137,9 +137,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
         }
     };
     for effect in HiddenEffect::one_of_each() {
-        let Some(mut mechanism) = effect.mechanism(&site) else {
-            continue;
-        };
+        let Some(mut mechanism) = effect.mechanism(&site) else { continue };
         settled(mechanism.as_mut());
         let m = mechanism.as_ref();
         let (found, stated, within) = match effect.id() {

@@ -186,9 +186,7 @@ fn reads(addresses: &[u16], count: u16) -> Vec<ReadRequest> {
 fn answered(batch: &Batch, context: &str) -> usize {
     let mut answered = 0;
     for read in &batch.reads {
-        let Ok(values) = &read.values else {
-            continue;
-        };
+        let Ok(values) = &read.values else { continue };
         let right: Vec<u16> = (0..read.request.count).map(|k| read.request.address + k).collect();
         assert_eq!(*values, right, "{context}: {:?}", read.request);
         answered += 1;

@@ -144,9 +144,7 @@ impl Reader<'_> {
             (None, Some(signal), None) => {
                 let (Some(mask), Some(pattern), Some(within_ms)) =
                     (keys.mask, keys.equals, keys.within_ms)
-                else {
-                    return Err(part.wrong("wait", "a wait has mask, equals and within_ms"));
-                };
+                else { return Err(part.wrong("wait", "a wait has mask, equals and within_ms")) };
                 let holds = within_ms.is_finite() && within_ms > 0.0;
                 let message = format_args!("within_ms {within_ms} is not allowed (expected more than 0)");
                 part.require(holds, "within_ms", message)?;

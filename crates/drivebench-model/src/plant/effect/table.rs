@@ -131,9 +131,7 @@ pub(super) fn define(
 }
 
 fn list(settings: &toml::Table, key: &str) -> Result<Option<Vec<f64>>, DefinitionError> {
-    let Some(value) = settings.get(key) else {
-        return Ok(None);
-    };
+    let Some(value) = settings.get(key) else { return Ok(None) };
     let items = value.as_array().ok_or_else(|| {
         let message = format!("{key} is a {}, expected a list", value.type_str());
         DefinitionError::new(key, message, "a list of numbers, as [-100.0, 0.0, 100.0]")
