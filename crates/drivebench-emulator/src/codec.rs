@@ -77,8 +77,7 @@ impl Responder for SoftDrive {
         let words = DriveCommand::new(0, Control::Stop).to_registers();
         let words = words.into_iter().flat_map(u16::to_be_bytes);
         let [high, low] = COMMAND_ADDRESS.to_be_bytes();
-        let head = [16, high, low, 0, COMMAND_COUNT, 2 * COMMAND_COUNT];
-        head.into_iter().chain(words).collect()
+        [16, high, low, 0, COMMAND_COUNT, 2 * COMMAND_COUNT].into_iter().chain(words).collect()
     }
 }
 

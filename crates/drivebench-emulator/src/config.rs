@@ -249,8 +249,7 @@ impl EmulatorConfig {
     }
 
     pub fn embedded(name: &str) -> Result<Self, EmulatorConfigError> {
-        let mut known = EMBEDDED.iter();
-        let Some((_, text)) = known.find(|(embedded, _)| *embedded == name) else {
+        let Some((_, text)) = EMBEDDED.iter().find(|(embedded, _)| *embedded == name) else {
             let name = name.to_owned();
             return Err(EmulatorConfigError::Unknown { name });
         };
@@ -318,8 +317,7 @@ impl EmulatorConfig {
 
     /// Refuses faults that would do nothing on such a drive.
     pub fn suits(&self, as_another: bool, link: Protocol) -> Result<(), EmulatorConfigError> {
-        let mut faults = self.faulty.iter();
-        faults.try_for_each(|fault| fault.suits(as_another, link))
+        self.faulty.iter().try_for_each(|fault| fault.suits(as_another, link))
     }
 
     fn check(&self, file: &str) -> Result<(), EmulatorConfigError> {

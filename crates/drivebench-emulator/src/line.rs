@@ -111,8 +111,7 @@ mod tests {
         let clock = VirtualClock::new();
         let mut profile = DriveProfile::named("own").unwrap();
         profile.link.emulated = true;
-        let link = open_line(None, config, seed, &profile, clock.clone());
-        (link.unwrap(), clock)
+        (open_line(None, config, seed, &profile, clock.clone()).unwrap(), clock)
     }
 
     /// What an exchange of each cycle gave, and when it was over.

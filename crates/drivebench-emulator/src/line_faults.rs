@@ -78,10 +78,8 @@ impl LineFaults {
     /// The exception with which a request is refused.
     fn refusal(&mut self, now_s: f64, ran_s: Option<f64>) -> Option<u8> {
         let refuses = |fault: &&mut TimedFault| fault.entry.kind == FaultKind::Exception;
-        let mut refusing = self.faults.iter_mut().filter(refuses);
-        refusing.find_map(|fault| {
-            let hits = fault.hits(now_s, ran_s, &mut self.rng);
-            hits.then(|| fault.entry.code.unwrap_or(4))
+        self.faults.iter_mut().filter(refuses).find_map(|fault| {
+            fault.hits(now_s, ran_s, &mut self.rng).then(|| fault.entry.code.unwrap_or(4))
         })
     }
 

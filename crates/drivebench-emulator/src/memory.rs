@@ -246,8 +246,7 @@ mod tests {
         assert_eq!(sample.state, Some(DriveState::Running));
         assert_eq!(sample.get(Channel::Temperature), None, "missing, not zero");
         clock.set_time_s(0.3);
-        let speed = link.exchange(volts(70_001, 24.0)).unwrap();
-        let steps = speed.get(Channel::Speed).unwrap() / 0.02;
+        let steps = link.exchange(volts(70_001, 24.0)).unwrap().get(Channel::Speed).unwrap() / 0.02;
         assert!(steps > 100.0 && (steps - steps.round()).abs() < 1e-6);
     }
 

@@ -131,8 +131,7 @@ mod tests {
             let took_s = exchange_s(&line, with_gaps, request, answer);
             assert!((took_s - expected_s).abs() < 1e-12, "{line:?}: {took_s}");
         }
-        let mut network = Pace::network(&line(115_200, 10, 0.5));
-        assert!((network.arrival_s(1.0) - 1.0).abs() < 1e-12);
+        assert!((Pace::network(&line(115_200, 10, 0.5)).arrival_s(1.0) - 1.0).abs() < 1e-12);
     }
 
     #[test]

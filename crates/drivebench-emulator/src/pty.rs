@@ -197,10 +197,7 @@ mod tests {
     fn a_host_that_opens_the_old_pair_again_is_served() {
         let mut port = PtyPort::open().unwrap();
         let slave = port.slave.clone();
-        let host = || {
-            let both = fs::File::options().read(true).write(true).open(&slave);
-            both.unwrap()
-        };
+        let host = || fs::File::options().read(true).write(true).open(&slave).unwrap();
         let first = host();
         assert!(!port.taken_again(), "nobody has gone");
         drop(first);

@@ -35,8 +35,7 @@ fn network(link: Protocol) -> ServerHandle {
 }
 
 fn runtime() -> tokio::runtime::Runtime {
-    let mut builder = tokio::runtime::Builder::new_current_thread();
-    builder.enable_all().build().unwrap()
+    tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
 }
 
 fn wait_until(is: impl Fn() -> bool) {
@@ -136,8 +135,7 @@ fn a_second_session_works_and_gets_no_stale_bytes() {
     for session in 2..5_u16 {
         wait_until(|| server.sessions() >= session.into());
         let mut host = open(&server);
-        let telemetry = exchange(&mut host, volts(100 + session, 6.0));
-        assert_eq!(telemetry.seq, 100 + session);
+        assert_eq!(exchange(&mut host, volts(100 + session, 6.0)).seq, 100 + session);
         assert_eq!(receive_now(&mut host), 0, "nothing but the answer");
     }
 }
@@ -197,8 +195,7 @@ fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
         let words = host.read_input_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[15], version);
         let [first, second] = [77, 78].map(|seq| volts(seq, 10.0).to_registers());
-        let written = host.write_multiple_registers(32, &first).await;
-        written.unwrap().unwrap();
+        host.write_multiple_registers(32, &first).await.unwrap().unwrap();
         let words = host.read_write_multiple_registers(0, 16, 32, &second).await;
         assert_eq!(words.unwrap().unwrap()[2], 78);
         let refused = host.read_holding_registers(16, 1).await.unwrap();
@@ -235,8 +232,7 @@ fn of_several_tcp_hosts_one_commands_and_all_read() {
         // It is gone: the other one takes over.
         drop(first);
         tokio::time::sleep(Duration::from_millis(50)).await;
-        let written = second.write_multiple_registers(32, &two).await;
-        written.unwrap().unwrap();
+        second.write_multiple_registers(32, &two).await.unwrap().unwrap();
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
         assert_eq!(words[2], 6);
     });

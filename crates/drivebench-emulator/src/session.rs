@@ -165,8 +165,7 @@ impl Session {
             self.outgoing.front().map(|(due, _)| *due),
             self.silent_from_s,
         ];
-        let next_s = next_s.into_iter().flatten();
-        Turn::Until(next_s.fold(now + LONGEST_WAIT_S, f64::min))
+        Turn::Until(next_s.into_iter().flatten().fold(now + LONGEST_WAIT_S, f64::min))
     }
 
     pub(super) fn listen(&mut self, port: &mut dyn Port, far: &FarEnd<'_>, next_s: f64) {

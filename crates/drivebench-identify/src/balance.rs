@@ -176,8 +176,7 @@ impl Signals<'_> {
                 }
             }
         };
-        let speeds = self.speed_rad_s.iter().enumerate();
-        speeds.map(|at| added(at) / size).collect()
+        self.speed_rad_s.iter().enumerate().map(|at| added(at) / size).collect()
     }
 }
 

@@ -206,8 +206,7 @@ mod tests {
         let wild = |row: usize, speed: f64| [1.0, -0.7][row / 37 % 2] * speed;
         let found = found(&changed(&run, Channel::Speed, wild));
         for open in found.iter().filter(|parameter| parameter.value.is_none()) {
-            let reason = open.reason.as_deref().unwrap();
-            assert!(!reason.contains("does not excite"), "{open:?}");
+            assert!(!open.reason.as_deref().unwrap().contains("does not excite"), "{open:?}");
         }
     }
 }

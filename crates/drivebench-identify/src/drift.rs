@@ -151,21 +151,18 @@ impl Drift {
 
     /// Changes that are a drift or may be one.
     pub fn in_question(&self) -> impl Iterator<Item = &Change> {
-        let changes = self.changes.iter();
-        changes.filter(|change| change.drifted || change.unsettled)
+        self.changes.iter().filter(|change| change.drifted || change.unsettled)
     }
 
     /// Parameters that were observable in the earlier runs and are not in the later ones.
     pub fn lost(&self) -> impl Iterator<Item = &NotCompared> {
-        let all = self.not_compared.iter();
-        all.filter(|parameter| parameter.carried_before)
+        self.not_compared.iter().filter(|parameter| parameter.carried_before)
     }
 
     /// Largest change that is or may be a drift, in per cent: zero without one. `None` where one of them has no percentage, where a
     /// parameter was lost, or where none was compared.
     pub fn largest_percent(&self) -> Option<f64> {
-        let in_question = self.in_question();
-        self.largest(in_question.map(|change| change.percent.map(f64::abs)))
+        self.largest(self.in_question().map(|change| change.percent.map(f64::abs)))
     }
 
     /// Largest change within the 95 % interval of any parameter, in per cent; `None` as above.
@@ -309,8 +306,7 @@ fn change(key: &str, before: &Sample, after: &Sample) -> Change {
             .map_or(0.0, |(pooled, student)| student.inverse_cdf(0.975) * of(pooled, pooled));
         of_spread.max(TWO_SIDED_95 * of(before.within, after.within))
     };
-    let normal = Normal::standard();
-    let of_noise = 2.0 * normal.sf(change.abs() / by_noise);
+    let of_noise = 2.0 * Normal::standard().sf(change.abs() / by_noise);
     let mut by_chance = of_noise;
     if let Some((pooled, student)) = student.filter(|(pooled, _)| *pooled > 0.0) {
         let std = (pooled * (1.0 / before.count() + 1.0 / after.count())).sqrt();

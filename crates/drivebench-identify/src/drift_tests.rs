@@ -168,8 +168,7 @@ fn too_few_repeats_leave_a_change_open_and_do_not_hide_it() {
     assert!(named.changes[0].drifted && !named.changes[0].unsettled);
     // Runs in which it is not observable are no repeats of it.
     let bare = || run(&[(INERTIA, 0.0045, 1e-5)]);
-    let beside = compared(&[at(0.450), at(0.452), bare(), bare()], &at(0.504));
-    assert!(beside.changes[0].unsettled);
+    assert!(compared(&[at(0.450), at(0.452), bare(), bare()], &at(0.504)).changes[0].unsettled);
     // Within the variation that many repeats show it is neither.
     let varying = of(&[0.40, 0.50, 0.42, 0.49, 0.45]);
     assert_eq!(varying.in_question().count(), 0, "{varying:?}");
@@ -214,8 +213,7 @@ fn two_hundred_machines_show_the_dry_bearing_and_nothing_else() {
         let friction = motor.get(MotorKey::LoadTorque).unwrap();
         motor.set(MotorKey::LoadTorque, 1.12 * friction);
         let dry = compared(&before, &identified(&motor, 30_000 + machine));
-        let mut changes = dry.changes.iter();
-        let change = changes.find(|change| change.key == FRICTION).unwrap();
+        let change = dry.changes.iter().find(|change| change.key == FRICTION).unwrap();
         found += usize::from(change.drifted);
         let [low, high] = change.interval_95_percent.unwrap();
         inside += usize::from((low..=high).contains(&12.0));

@@ -185,8 +185,7 @@ fn known(late: &Scenario, time_constant_s: f64) -> Vec<Row> {
 }
 
 fn response(run: &Scenario, time_constant_s: f64) -> Vec<Row> {
-    let mut speeds = run.speed_rad_s.iter().copied();
-    let mut first = speeds.find(|speed| speed.is_finite()).unwrap_or(0.0);
+    let mut first = run.speed_rad_s.iter().copied().find(|speed| speed.is_finite()).unwrap_or(0.0);
     let rest_rad_s = rest_rad_s(run);
     let mut begin_s = run.sample_time_s[0];
     let (mut voltage, mut direction, mut now_s, mut event) = (0.0, 0.0, begin_s, 0);
@@ -354,8 +353,7 @@ mod tests {
             }
             let left_rad_s = FirstOrder::with_dead_time(&run).unwrap().left_rad_s;
             let found = FirstOrder::estimates(&run);
-            let own = of(&found, "first_order.gain_rad_s_per_v");
-            (own.std.unwrap(), left_rad_s)
+            (of(&found, "first_order.gain_rad_s_per_v").std.unwrap(), left_rad_s)
         };
         // A speed sensor with a gain that falls with the speed, and one with an alternating error.
         let (bent, left_rad_s) = gain(&|_, speed| -4e-3 * speed * speed);

@@ -75,8 +75,7 @@ impl Misfit {
 
     /// The same of the signal with the largest residual, where that is more than noise.
     pub(super) fn worst_text(&self) -> Option<String> {
-        let above = self.0.iter().filter(|left| !left.is_noise);
-        let worst = above.max_by(|a, b| {
+        let worst = self.0.iter().filter(|left| !left.is_noise).max_by(|a, b| {
             let times = |left: &Left| left.times_noise.unwrap_or(0.0);
             times(a).total_cmp(&times(b))
         });

@@ -133,8 +133,7 @@ fn a_constant_voltage_keeps_values_and_settles_nothing_new() {
     let mut online = Online::new(OnlineConfig::default());
     for k in 1000..bench.times.len() {
         let sample = Sample::at(bench.times[k]).with(Channel::Voltage, 40.0);
-        let sample = sample.with(Channel::Current, current[k]);
-        online.push(&sample.with(Channel::Speed, speed[k]));
+        online.push(&sample.with(Channel::Current, current[k]).with(Channel::Speed, speed[k]));
     }
     for estimate in online.estimates() {
         assert_ne!(estimate.verdict, Verdict::Settled, "{estimate:?}");

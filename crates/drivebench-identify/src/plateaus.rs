@@ -157,7 +157,6 @@ mod tests {
             step.1 = step.1.abs();
         }
         let found = estimates(&levels(&record(&model, one_way, 0.02, 20.0, 4)));
-        let resistance = ParameterEstimate::find(&found, "resistance_ohm");
-        assert!(resistance.is_none(), "{found:?}");
+        assert!(ParameterEstimate::find(&found, "resistance_ohm").is_none(), "{found:?}");
     }
 }

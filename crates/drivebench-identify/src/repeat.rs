@@ -34,10 +34,7 @@ pub fn combine(per_run: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) 
             keys.push(&parameter.key);
         }
     }
-    let of = |key| {
-        let runs = per_run.iter();
-        runs.filter_map(move |run| ParameterEstimate::find(run, key))
-    };
+    let of = |key| per_run.iter().filter_map(move |run| ParameterEstimate::find(run, key));
     let combined = keys.into_iter().filter_map(|key| {
         let is_known =
             |own: &&ParameterEstimate| own.carried().is_some() || own.verdict == Verdict::Fixed;
@@ -214,8 +211,7 @@ mod tests {
         assert_eq!(apart.estimate.verdict, Verdict::Searching);
         assert_eq!((apart.estimate.value, apart.runs), (Some(2.48), 4));
         assert!(apart.estimate.std.unwrap() > 0.07, "{apart:?}");
-        let alike = of([2.483, 2.478, 2.481, 2.479]);
-        assert_eq!(alike.estimate, lag(2.48)[0]);
+        assert_eq!(of([2.483, 2.478, 2.481, 2.479]).estimate, lag(2.48)[0]);
     }
 
     #[test]
@@ -235,7 +231,6 @@ mod tests {
             let found = of(&runs);
             assert_eq!((found.estimate.value, found.runs), (Some(1.2), 2));
         }
-        let apart = of(&[run(1.0, 0.001), run(1.3, 0.001)]);
-        assert_eq!(apart.estimate.verdict, Verdict::Searching);
+        assert_eq!(of(&[run(1.0, 0.001), run(1.3, 0.001)]).estimate.verdict, Verdict::Searching);
     }
 }

@@ -88,8 +88,7 @@ mod tests {
 
     #[test]
     fn stamps_as_vague_as_l_over_r_refuse_the_inductance() {
-        let sharp = found(1e-3);
-        assert!(sharp.iter().all(|p| p.verdict == Verdict::Settled));
+        assert!(found(1e-3).iter().all(|p| p.verdict == Verdict::Settled));
         let vague = found(10e-3);
         judged(&vague, "inductance_h", Verdict::NotObservable);
         assert_says(&vague[1], &["10.0 ms", "9.0 ms"]);

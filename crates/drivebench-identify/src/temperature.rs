@@ -87,8 +87,7 @@ fn at_20_c(
 fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
     let Some((first_s, last_s)) = scored_s(scenario) else { return Vec::new() };
     let points = run.points(Channel::Temperature);
-    let scored = points.filter(|point| point.0 >= first_s && point.0 <= last_s);
-    scored.map(|point| point.1).collect()
+    points.filter(|point| point.0 >= first_s && point.0 <= last_s).map(|point| point.1).collect()
 }
 
 #[cfg(test)]

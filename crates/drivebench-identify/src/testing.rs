@@ -83,8 +83,7 @@ pub(super) fn every(period_s: f64, seconds: f64) -> Vec<f64> {
 pub(super) fn jittered(period_s: f64, seconds: f64, seed: u64) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let late = Uniform::new(0.0, 0.3 * period_s).unwrap();
-    let times = every(period_s, seconds).into_iter();
-    times.map(|time_s| time_s + late.sample(&mut random)).collect()
+    every(period_s, seconds).into_iter().map(|time_s| time_s + late.sample(&mut random)).collect()
 }
 
 /// `model` under an input at the given instants, without noise.
@@ -99,8 +98,7 @@ pub(super) fn simulated(
         _ => Channel::Voltage,
     };
     let mut scenario = Scenario::planned("r", input, channel, events, times);
-    let mut plant = Plant::new(model, input).unwrap();
-    let out = plant.simulate(&scenario, State::default());
+    let out = Plant::new(model, input).unwrap().simulate(&scenario, State::default());
     (scenario.current_a, scenario.speed_rad_s) = (out.current_a, out.speed_rad_s);
     scenario
 }
@@ -176,8 +174,7 @@ pub(super) fn in_order(
         while let Some(&(at_s, volts)) = events.next_if(|event| event.0 <= time_s) {
             take(Sample::at(at_s).with(Channel::VoltageCmd, volts));
         }
-        let sample = Sample::at(time_s).with(Channel::Current, current[k]);
-        take(sample.with(Channel::Speed, speed[k]));
+        take(Sample::at(time_s).with(Channel::Current, current[k]).with(Channel::Speed, speed[k]));
     }
 }
 

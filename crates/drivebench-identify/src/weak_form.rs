@@ -351,8 +351,7 @@ fn begins(times: &[f64], speeds: &[f64], half: usize, steps_s: &[f64]) -> Vec<us
 /// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
 fn angles(scenario: &Scenario) -> Vec<f64> {
     let shaft = scenario.shaft_angle();
-    let times = scenario.sample_time_s.iter();
-    times.map(|time_s| signal::line(&shaft, *time_s)).collect()
+    scenario.sample_time_s.iter().map(|time_s| signal::line(&shaft, *time_s)).collect()
 }
 
 /// Left-hand side of a balance at the samples: voltage, or motor torque.
@@ -360,8 +359,7 @@ fn left(model: &Model, scenario: &Scenario, equation: Balance) -> Vec<f64> {
     match (equation, scenario.input) {
         (Balance::Voltage, _) => scenario.held_means(),
         (Balance::Torque, Input::Torque) => {
-            let times = scenario.sample_time_s.iter();
-            times.map(|time_s| scenario.input_at(*time_s)).collect()
+            scenario.sample_time_s.iter().map(|time_s| scenario.input_at(*time_s)).collect()
         }
         (Balance::Torque, Input::Voltage | Input::Current) => {
             let kt = model.motor.torque_constant().unwrap_or(f64::NAN);
@@ -408,8 +406,7 @@ impl Noise {
     fn of(scenario: &Scenario) -> Self {
         let floor = NoiseFloor::from_standstill(scenario);
         let or_roughness = |still: Option<f64>, values: &[f64]| {
-            let still = still.filter(|sigma| sigma.is_finite());
-            still.unwrap_or_else(|| roughness(values))
+            still.filter(|sigma| sigma.is_finite()).unwrap_or_else(|| roughness(values))
         };
         let speed_rad_s = or_roughness(floor.map(|f| f.speed_rad_s), &scenario.speed_rad_s);
         let largest = largest_but_outliers(&scenario.speed_rad_s);
@@ -551,8 +548,7 @@ fn samples(model: &Model, scenario: &Scenario) -> (Vec<Instant>, Vec<f64>) {
         }
         let (current_a, torque_n_m, torque_n_m_per_a) = if scenario.input == Input::Torque {
             // In a hole of the torque its value is not known.
-            let interpolated = signal::line_across(&scenario.events, time_s, longest_gap_s);
-            let is_known = interpolated.is_finite();
+            let is_known = signal::line_across(&scenario.events, time_s, longest_gap_s).is_finite();
             let torque = if is_known { scenario.held_mean(sample) } else { f64::NAN };
             (torque, torque, 1.0)
         } else {

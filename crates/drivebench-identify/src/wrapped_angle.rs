@@ -72,8 +72,7 @@ impl Sawtooth {
             ranges.push(step.1.abs() - step.1.signum() * mean(&speeds) * step.0);
         }
         let range = median(&ranges);
-        let smooth = steps.iter().filter(|step| !is_jump(step));
-        let longest = largest(smooth.map(|step| step.1));
+        let longest = largest(steps.iter().filter(|step| !is_jump(step)).map(|step| step.1));
         let agree = ranges.iter().all(|found| (found - range).abs() < 0.1 * range);
         let is_full = range > 0.98 * span && range < span + 1.5 * longest;
         (agree && is_full).then(|| Self {
@@ -135,8 +134,7 @@ mod tests {
     }
 
     fn largest_error(run: &Run, offset: f64) -> f64 {
-        let points = run.points(Channel::Angle);
-        largest(points.map(|(t, angle)| angle - motion(t) - offset))
+        largest(run.points(Channel::Angle).map(|(t, angle)| angle - motion(t) - offset))
     }
 
     #[test]

@@ -48,8 +48,7 @@ fn on_a_line(late: usize, dead_from: usize, work: impl FnOnce(Line)) {
         let script = move |number: usize, request: &[u8]| {
             let delay = if number == late { LATE } else { Duration::from_micros(700) };
             let is_answered = number < end.load(Ordering::Relaxed);
-            let reply = is_answered.then(|| (delay, answer(request)));
-            reply.into_iter().collect()
+            is_answered.then(|| (delay, answer(request))).into_iter().collect()
         };
         let device = Scripted::new(Box::new(script) as Script);
         let epoch = now();

@@ -158,8 +158,7 @@ impl LineBudget {
 
     /// Behind a usual USB adapter with its latency timer at 1 ms, Hz.
     pub fn usual_rate_hz(&self) -> f64 {
-        let usual = self.rates.get(1);
-        usual.map_or_else(|| self.rate_hz(), |rate| rate.rate_hz)
+        self.rates.get(1).map_or_else(|| self.rate_hz(), |rate| rate.rate_hz)
     }
 
     /// Rate of the line alone, Hz.

@@ -64,8 +64,7 @@ impl Numbering {
             _ => (0, 0),
         };
         let number = self.count.to_le_bytes();
-        let front = std::iter::repeat_n(0, before.into());
-        let data = front.chain(number).chain([0; 60]).take(count);
+        let data = std::iter::repeat_n(0, before.into()).chain(number).chain([0; 60]).take(count);
         let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
         Some(self.kind.packet(1, &body))
     }

@@ -246,6 +246,5 @@ fn objects(response: Response) -> Result<Names, String> {
         Response::ReadDeviceIdentification(names) => names.device_id_objects,
         other => return Err(format!("{other:?}")),
     };
-    let texts = objects.iter().filter_map(|o| Some((o.id, o.value_as_str()?.to_owned())));
-    Ok(texts.collect())
+    Ok(objects.iter().filter_map(|o| Some((o.id, o.value_as_str()?.to_owned()))).collect())
 }

@@ -52,8 +52,7 @@ pub fn carried(profile: &DriveProfile) -> Vec<(Channel, String)> {
 fn properties(signal: &Signal) -> String {
     let keys = &signal.keys;
     let sign = if signal.is_signed() { "signed" } else { "no sign" };
-    let origin = keys.origin.unwrap_or_default().name();
-    let mut parts = vec![origin.to_owned(), sign.to_owned()];
+    let mut parts = vec![keys.origin.unwrap_or_default().name().to_owned(), sign.to_owned()];
     if let Some(side) = keys.side {
         parts.push(format!("{} side", side.name()));
     }

@@ -356,8 +356,7 @@ mod tests {
     /// With a check sum that fits, and each zero stuffed.
     fn framed_by_hand(plain: &[u8]) -> Vec<u8> {
         let whole = [plain, &crc16(plain).to_be_bytes()].concat();
-        let blocks = whole.split(|byte| *byte == 0);
-        let coded = blocks.flat_map(|block| {
+        let coded = whole.split(|byte| *byte == 0).flat_map(|block| {
             let code = u8::try_from(block.len() + 1).unwrap();
             std::iter::once(code).chain(block.iter().copied())
         });

@@ -249,8 +249,7 @@ fn has_register_map(text: &str) -> bool {
     let starts = |line: &str, key: &str| {
         line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('='))
     };
-    let mut lines = text.lines().map(str::trim);
-    lines.any(|line| starts(line, "schema") || line == "[device]")
+    text.lines().map(str::trim).any(|line| starts(line, "schema") || line == "[device]")
 }
 
 #[cfg(test)]

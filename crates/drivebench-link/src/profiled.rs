@@ -712,10 +712,7 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
             product = self.bus.object(1)?.unwrap_or(product);
             firmware = self.bus.object(2)?.unwrap_or_default();
         }
-        let value = |quantity| {
-            let signal = self.map.of_quantity(quantity)?;
-            self.reading(&signal.name)
-        };
+        let value = |quantity| self.reading(&self.map.of_quantity(quantity)?.name);
         let stored = |quantity| {
             let signal = self.map.of_quantity(quantity)?;
             Some(signal.location.layout.number(self.readings.get(&signal.name)?.pattern?))

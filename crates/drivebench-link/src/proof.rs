@@ -284,8 +284,7 @@ impl Proof {
         }
         if !needs_proof {
             self.probing.count = 0;
-            let apart = self.apart_until(Code::answering(pdu), now);
-            if let Some(until) = apart.filter(|_| is_read) {
+            if let Some(until) = self.apart_until(Code::answering(pdu), now).filter(|_| is_read) {
                 return self.silence(until, now);
             }
             self.wait = Wait::None;
@@ -381,8 +380,7 @@ impl Proof {
         self.end_silent_proof();
         self.has_answered |= !old.is_empty();
         let before = self.spacing.delayed.map(|(_, longest)| longest);
-        let delays = old.iter().map(|old| self.delay(old.code, now));
-        if let Some(longest) = delays.chain(before).max() {
+        if let Some(longest) = old.iter().map(|old| self.delay(old.code, now)).chain(before).max() {
             let stretch = SETTINGS.clean_delays * longest;
             // At least 2 s, because one second proves little; at most 30 s.
             let until = now + stretch.clamp(Duration::from_secs(2), Duration::from_secs(30));
@@ -558,8 +556,7 @@ impl Proof {
         let spared = Code::answering(before);
         let alike = |read: &ReadRequest| {
             let code = Code::answering(&read.pdu());
-            let requests = self.requests.iter();
-            (code, requests.filter(move |request| request.code == code))
+            (code, self.requests.iter().filter(move |request| request.code == code))
         };
         let is_free = |read: &ReadRequest| {
             let (code, mut alike) = alike(read);
@@ -582,8 +579,7 @@ impl Proof {
                 let place = place.map(|(place, _)| place);
                 // A refusal carries no length: the table that is tried is not the one that has been refused.
                 let input_refused = || {
-                    let mut requests = self.requests.iter();
-                    requests.any(|request| request.head[0] == 4 && !request.is_answered)
+                    self.requests.iter().any(|request| request.head[0] == 4 && !request.is_answered)
                 };
                 let table = match place.map(|place| place.table) {
                     Some(CellTable::Input) => CellTable::Holding,

@@ -61,8 +61,7 @@ impl Reopening {
 
     /// When the next attempt is due, s; `None`: the time is over.
     pub fn due_s(&self) -> Option<f64> {
-        let in_time = self.until_s.is_none_or(|until_s| self.due_s <= until_s);
-        in_time.then_some(self.due_s)
+        self.until_s.is_none_or(|until_s| self.due_s <= until_s).then_some(self.due_s)
     }
 
     /// An attempt begins; returns its number.

@@ -88,8 +88,7 @@ pub fn stable_name(root: &Path, path: &Path) -> PathBuf {
         return path.to_owned();
     }
     let name = path.file_name().unwrap_or_default();
-    let by_id = by_id(root, name).into_iter().next();
-    by_id.unwrap_or_else(|| path.to_owned())
+    by_id(root, name).into_iter().next().unwrap_or_else(|| path.to_owned())
 }
 
 /// USB descriptors of the adapter of a port; `None`: no USB adapter, or not present.
@@ -184,8 +183,7 @@ fn read(file: &Path) -> Option<String> {
 }
 
 fn entries(folder: &Path) -> Vec<PathBuf> {
-    let entries = fs::read_dir(folder).into_iter().flatten();
-    entries.flatten().map(|entry| entry.path()).collect()
+    fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()).collect()
 }
 
 #[cfg(test)]

@@ -528,8 +528,7 @@ mod tests {
         assert_eq!(answer[20..22], 502_u16.to_be_bytes());
         let acknowledged = 4_u32.to_be_bytes();
         assert_eq!(answer[28..32], acknowledged, "three bytes");
-        let mut v6 = conversation("[::1]:40000", "[::1]:502");
-        let packet = v6.packet(&[1, 2, 3, 4], true);
+        let packet = conversation("[::1]:40000", "[::1]:502").packet(&[1, 2, 3, 4], true);
         assert_eq!(packet.len(), 64);
         let pseudo = [&packet[8..40], &[0, 0, 0, 24, 0, 0, 0, 6], &packet[40..]].concat();
         assert_eq!(checksum(&pseudo), 0);

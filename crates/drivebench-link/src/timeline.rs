@@ -100,8 +100,7 @@ impl ClockMap {
 
     /// Centre of the marks in host time, offset there, slope.
     fn line(&self) -> Option<(f64, f64, f64)> {
-        let delays_s = self.marks.iter().map(|mark| mark.delay_s);
-        let smallest = delays_s.min_by(f64::total_cmp)?;
+        let smallest = self.marks.iter().map(|mark| mark.delay_s).min_by(f64::total_cmp)?;
         let is_good = move |mark: &&Mark| mark.delay_s <= 1.5 * smallest;
         let good = || self.marks.iter().filter(is_good);
         let count = good().count() as f64;
@@ -247,8 +246,7 @@ mod tests {
         assert_eq!(sample.get(Channel::Temperature), None);
         assert_eq!(sample.get(Channel::Current), Some(0.0));
         // Telemetry with the number of another command has no applied time.
-        let other = timeline.sample(&telemetry, 65_542, Span::new(1.004, 1.005));
-        assert_eq!(other.applied, None);
+        assert_eq!(timeline.sample(&telemetry, 65_542, Span::new(1.004, 1.005)).applied, None);
         let half = 0.5 * Telemetry::ANGLE_SPAN_RAD;
         let mut timeline = Timeline::default();
         let first = timeline.unwrap_angle(half - 1.0);

@@ -43,8 +43,7 @@ impl StopRequest {
     }
 
     fn is_raised(&self) -> bool {
-        let mut flags = self.0.iter();
-        flags.any(|(flag, is_handled)| !is_handled && flag.load(Ordering::Acquire))
+        self.0.iter().any(|(flag, is_handled)| !is_handled && flag.load(Ordering::Acquire))
     }
 }
 
@@ -369,8 +368,7 @@ impl Reception {
         self.line.stale_frames += search.old.len() as u64;
         self.line.foreign_frames += search.foreign as u64;
         self.line.foreign_writes += search.foreign_writes as u64;
-        let old = search.old.into_iter();
-        self.old_replies.extend(old.map(|code| OldReply { code, behind }));
+        self.old_replies.extend(search.old.into_iter().map(|code| OldReply { code, behind }));
     }
 
     fn drop_bytes(&mut self, count: usize) {
@@ -411,8 +409,7 @@ impl Reception {
             self.line.bytes_accepted += (end - begin) as u64;
             let is_alone = found.old.is_empty() && found.foreign == 0;
             self.book(found, false);
-            let first = self.pieces.iter().find(|(piece, _)| *piece > begin);
-            self.answered = first.map(|(_, at)| *at);
+            self.answered = self.pieces.iter().find(|(piece, _)| *piece > begin).map(|(_, at)| *at);
             self.reply.clear();
             self.reply.extend_from_slice(&self.received[begin..end]);
             // What follows the reply answers nothing.

@@ -284,8 +284,7 @@ impl DriveLink for VirtualLink {
     }
 
     fn burst(&mut self) -> Option<&mut dyn Burst> {
-        let has_one = self.link.burst().is_some();
-        has_one.then_some(self as &mut dyn Burst)
+        self.link.burst().is_some().then_some(self as &mut dyn Burst)
     }
 }
 

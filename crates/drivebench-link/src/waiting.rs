@@ -77,10 +77,9 @@ impl Waiting {
     /// Waits for the future, but not beyond this instant: `None`.
     pub(super) fn until<F: Future>(&self, at: Instant, future: F) -> Option<F::Output> {
         match self {
-            Self::Real(runtime) => runtime.block_on(async {
-                let came = tokio::time::timeout_at(at.into(), future).await;
-                came.ok()
-            }),
+            Self::Real(runtime) => {
+                runtime.block_on(async { tokio::time::timeout_at(at.into(), future).await.ok() })
+            }
             Self::Virtual => jump(at, future),
         }
     }

@@ -31,8 +31,7 @@ impl ConfigError {
         }
         let before = &text[..end];
         let line = before.matches('\n').count() + 1;
-        let tail = before.rsplit('\n').next().unwrap_or_default();
-        let column = tail.chars().count() + 1;
+        let column = before.rsplit('\n').next().unwrap_or_default().chars().count() + 1;
         Self { file: file.to_owned(), line, column, message: message.into(), help: help.into() }
     }
 }
@@ -104,8 +103,7 @@ pub fn help_for_unknown<'a>(
     if let Some(name) = nearest(given, allowed.clone()) {
         return format!("did you mean `{name}`?");
     }
-    let names = allowed.into_iter();
-    let shown = names.map(|name| if name.is_empty() { "\"\"" } else { name });
+    let shown = allowed.into_iter().map(|name| if name.is_empty() { "\"\"" } else { name });
     format!("allowed: {}", shown.collect::<Vec<_>>().join(", "))
 }
 
@@ -193,8 +191,7 @@ mod tests {
             assert_eq!((error.line, &error.help[..help.len()]), (line, help), "{text}");
             assert!(error.message.contains(message), "{text}: {error}");
         }
-        let missing = parse::<Limits>("l", "").unwrap_err();
-        assert!(missing.help.starts_with("add `current_a`"));
+        assert!(parse::<Limits>("l", "").unwrap_err().help.starts_with("add `current_a`"));
     }
 
     #[test]

@@ -13,15 +13,13 @@ pub type Point = (f64, f64);
 /// The value of the last point at or before an instant; `None` before the first.
 #[inline]
 pub fn held(points: &[Point], time_s: f64) -> Option<f64> {
-    let next = points.partition_point(|point| point.0 <= time_s);
-    next.checked_sub(1).map(|at| points[at].1)
+    points.partition_point(|point| point.0 <= time_s).checked_sub(1).map(|at| points[at].1)
 }
 
 /// The points from the one whose value holds at an instant on.
 #[inline]
 pub fn holding_since(points: &[Point], time_s: f64) -> &[Point] {
-    let next = points.partition_point(|point| point.0 <= time_s);
-    &points[next.saturating_sub(1)..]
+    &points[points.partition_point(|point| point.0 <= time_s).saturating_sub(1)..]
 }
 
 /// The zero-order hold between two instants as `(length, value)`; the first value also holds before its point.
@@ -130,8 +128,7 @@ impl Window {
     }
 
     fn sum(&self, weights: &[f64], value: impl Fn(usize) -> f64) -> f64 {
-        let samples = weights.iter().zip(self.begin..);
-        samples.map(|(weight, sample)| weight * value(sample)).sum()
+        weights.iter().zip(self.begin..).map(|(weight, sample)| weight * value(sample)).sum()
     }
 
     /// Standard deviations of a mean and of a mean rate under white noise of unit variance: the norms of their weights.

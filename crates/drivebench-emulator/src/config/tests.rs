@@ -143,8 +143,7 @@ fn unknown_names_are_refused_with_line_and_nearest_name() {
             panic!("{error}");
         };
         if to == "curent_limit_a" {
-            let mut lines = text.lines();
-            let line = lines.position(|line| line.starts_with(to));
+            let line = text.lines().position(|line| line.starts_with(to));
             assert_eq!(place.line, line.unwrap() + 1);
         }
         assert!(error.to_string().contains(to), "{error}");

@@ -84,8 +84,7 @@ fn recorded(hidden: &[HiddenEffect]) -> Scenario {
 fn error(model: &Model, scenario: &Scenario) -> f64 {
     let out = Plant::new(model, Input::Voltage).unwrap().simulate(scenario, State::default());
     let square = |measured: &[f64], simulated: &[f64], scale: f64| {
-        let pairs = measured.iter().zip(simulated);
-        let sum: f64 = pairs.map(|(m, s)| ((m - s) / scale).powi(2)).sum();
+        let sum: f64 = measured.iter().zip(simulated).map(|(m, s)| ((m - s) / scale).powi(2)).sum();
         sum / measured.len() as f64
     };
     square(&scenario.current_a, &out.current_a, CURRENT_A)
@@ -113,8 +112,7 @@ fn the_hosts_form_with_true_values_explains_each_effect() {
                 samples: 300,
                 memory: [0.0; 2],
             };
-            let fit = output_error::fit(&[model], &scenario, &noise);
-            model = fit.unwrap().model;
+            model = output_error::fit(&[model], &scenario, &noise).unwrap().model;
         }
         let (with, without) = (error(&model, &scenario), error(&baseline, &scenario));
         // Share of an effect's work that its form may leave to the host's form with the true values, before any fit (for

@@ -252,8 +252,7 @@ fn registers_refuse_what_the_table_forbids() {
 fn registers_show_the_drive() {
     let mut drive = drive();
     drive.write(73, &[150]).unwrap();
-    let command = DriveCommand::new(513, Control::Voltage(-12.345));
-    let words = command.to_registers();
+    let words = DriveCommand::new(513, Control::Voltage(-12.345)).to_registers();
     drive.write(r::COMMAND_ADDRESS, &words).unwrap();
     let mut block = [0; r::TELEMETRY_WORDS];
     drive.read(0, &mut block).unwrap();
@@ -362,8 +361,7 @@ fn frozen_registers_leave_clock_and_state_running() {
     let after = drive.telemetry();
     assert!(speed_rad_s(&drive) < 0.5 * before.speed_rad_s);
     let bits = |t: &Telemetry| {
-        let measured = [t.speed_rad_s, t.current_a, t.voltage_v, t.angle_rad, t.bus_v];
-        measured.map(f64::to_bits)
+        [t.speed_rad_s, t.current_a, t.voltage_v, t.angle_rad, t.bus_v].map(f64::to_bits)
     };
     assert_eq!(bits(&after), bits(&before));
     assert!(after.time_us > before.time_us + 290_000 && after.applied_us > before.applied_us);

@@ -69,8 +69,7 @@ impl RegisterBank for Bank<'_> {
             return Err(Exception::IllegalValue);
         }
         for (address, word) in (first..=u16::MAX).zip(out) {
-            let register = self.drive.register(self.table, address);
-            *word = register.ok_or(Exception::IllegalAddress)?;
+            *word = self.drive.register(self.table, address).ok_or(Exception::IllegalAddress)?;
         }
         Ok(())
     }

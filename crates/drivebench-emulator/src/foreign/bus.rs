@@ -153,8 +153,7 @@ impl ForeignBus {
 
 /// Number of registers and of their bytes, as function codes 16 and 23 have them.
 fn counted(values: &[u16]) -> [u8; 3] {
-    let count = u16::try_from(values.len()).unwrap_or(u16::MAX);
-    let [high, low] = count.to_be_bytes();
+    let [high, low] = u16::try_from(values.len()).unwrap_or(u16::MAX).to_be_bytes();
     let bytes = u8::try_from(2 * values.len()).unwrap_or(u8::MAX);
     [high, low, bytes]
 }

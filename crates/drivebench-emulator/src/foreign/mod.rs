@@ -239,8 +239,7 @@ impl ForeignDrive {
 
     /// What was written to a set-point last, raw; `None`: nothing since it was switched on.
     pub fn last_written(&self, set_point: &str) -> Option<u16> {
-        let point = self.map.set_point(set_point)?;
-        self.written.get(&point.location.address).copied()
+        self.written.get(&self.map.set_point(set_point)?.location.address).copied()
     }
 
     /// What was written to a set-point last, in its unit; `None`: nothing since it was switched on.
@@ -322,8 +321,7 @@ impl ForeignDrive {
 
     /// The request that writes zero to its first set-point.
     pub(super) fn first_command(&self) -> Vec<u8> {
-        let first = self.map.set_points.first();
-        let address = first.map_or(0, |point| point.location.address);
+        let address = self.map.set_points.first().map_or(0, |point| point.location.address);
         let [high, low] = address.to_be_bytes();
         if self.map.functions.contains(&6) {
             vec![6, high, low, 0, 0]
@@ -391,8 +389,7 @@ impl ForeignDrive {
         // Of several references the one that is not zero, as the drive's own selection would be.
         let chosen = written.reduce(|a, b| if a.1.abs() >= b.1.abs() { a } else { b });
         let Some((point, value)) = chosen else {
-            let mut points = self.map.set_points.iter();
-            let has_reference = points.any(|point| point.keys.quantity.moves());
+            let has_reference = self.map.set_points.iter().any(|point| point.keys.quantity.moves());
             // Share of the rated speed with which a drive jogs whose profile has no reference.
             let jog = 0.1 * nameplate.rated_speed_rad_s;
             return Control::Speed(if has_reference { 0.0 } else { jog });

@@ -81,8 +81,7 @@ fn vesc_packet(bytes: &[u8]) -> Whole {
     }
     let Some(tail) = bytes.get(begin + length..begin + length + 3) else { return Whole::Yet };
     let payload = &bytes[begin..begin + length];
-    let crc = crc16(0x1021, payload);
-    let [crc_high, crc_low] = crc.to_be_bytes();
+    let [crc_high, crc_low] = crc16(0x1021, payload).to_be_bytes();
     if tail == [crc_high, crc_low, 3] { Whole::Packet(payload.to_vec()) } else { Whole::Not }
 }
 
@@ -152,8 +151,7 @@ impl ForeignDrive {
             Some(answer.replace("{}", &self.scratch))
         } else {
             let known = grammar.lines.iter().enumerate().find_map(|(at, known)| {
-                let value = in_template(&known.send, line)?;
-                Some((CellTable::Lines(1 << at), known, value.to_owned()))
+                Some((CellTable::Lines(1 << at), known, in_template(&known.send, line)?.to_owned()))
             });
             match known {
                 Some((table, known, value))
@@ -303,8 +301,7 @@ impl ForeignDrive {
     /// Writes a control table; the error number.
     fn write_bytes(&mut self, address: u16, data: &[u8]) -> u8 {
         let is_lapsed = self.has_lost_host();
-        let mut addresses = (address..).take(data.len());
-        if !addresses.all(|address| self.is_writable(address)) {
+        if !(address..).take(data.len()).all(|address| self.is_writable(address)) {
             return 7;
         }
         let map = std::sync::Arc::clone(&self.map);
@@ -330,8 +327,7 @@ impl ForeignDrive {
     /// Bytes of the reply to a command, as far as the profile reads it.
     fn reply_length(&self, table: CellTable) -> Option<u16> {
         let reads = self.map.signals.iter().map(Signal::request);
-        let ends = reads.filter(|at| at.table == table).map(|at| at.address + at.count);
-        ends.max()
+        reads.filter(|at| at.table == table).map(|at| at.address + at.count).max()
     }
 }
 

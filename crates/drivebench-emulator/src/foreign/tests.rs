@@ -77,8 +77,7 @@ impl Table {
         let bus = ForeignBus::new(drive, &guise, clock.clone());
         let link = ProfiledLink::new(Arc::clone(host.registers.as_ref().unwrap()), bus);
         // No faster than the line, and often enough for a dead man's switch.
-        let points = link.map().set_points.iter();
-        let refreshes = points.filter_map(SetPoint::refresh_s);
+        let refreshes = link.map().set_points.iter().filter_map(SetPoint::refresh_s);
         let usual_s = 1.2 * link.shortest_cycle_s().unwrap() + 0.02;
         let period_s = refreshes.fold(usual_s, f64::min);
         Self { link, clock, time_s: 0.0, period_s, seq: 0 }
@@ -117,8 +116,7 @@ impl Table {
     /// So many cycles of this demand; the last sample.
     #[track_caller]
     fn ask(&mut self, demand: Demand, cycles: usize) -> Sample {
-        let samples = (0..cycles).map(|_| self.demand(demand).unwrap());
-        samples.last().unwrap()
+        (0..cycles).map(|_| self.demand(demand).unwrap()).last().unwrap()
     }
 
     #[track_caller]
@@ -157,9 +155,7 @@ impl Table {
 
     /// The same where each cycle has another speed.
     fn first_error_over(&mut self, speeds: impl IntoIterator<Item = f64>) -> LinkError {
-        let mut speeds = speeds.into_iter();
-        let error = speeds.find_map(|rpm| self.run(speed_ref(rpm)).err());
-        error.unwrap()
+        speeds.into_iter().find_map(|rpm| self.run(speed_ref(rpm)).err()).unwrap()
     }
 
     fn written(&mut self, set_point: &str) -> Option<u16> {
@@ -297,10 +293,7 @@ fn silence_trips_each_watchdog_and_nothing_old_comes_back() {
 
 #[test]
 fn a_trip_of_each_is_a_fault_and_enable_is_not_repeated() {
-    let tells = |name: &&str| {
-        let map = profile_with(name, &[]).registers.unwrap();
-        map.state("fault").is_some()
-    };
+    let tells = |name: &&str| profile_with(name, &[]).registers.unwrap().state("fault").is_some();
     for name in foreign_names().filter(tells) {
         let mut table = Table::identified(name, &[]);
         let (reference, _) = target(name);
@@ -321,8 +314,7 @@ fn a_set_point_that_reads_back_wrong_three_times_is_a_stop() {
     let mut table = Table::identified("abb-dcs-gateway", &[]);
     table.enable(speed_ref(100.0));
     table.far().ignore(Some("speed_ref"));
-    let sample = table.run(speed_ref(101.0)).unwrap();
-    assert_eq!(sample.applied, None, "it holds another");
+    assert_eq!(table.run(speed_ref(101.0)).unwrap().applied, None, "it holds another");
     let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
     assert_contains(&error, "3 times in a row");
     assert_contains(&error, "so it ignores what is written");
@@ -423,8 +415,7 @@ fn a_profile_of_another_drive_is_refused() {
     let mut table = Table::mixed(&host, &profile_with("abb-efb", &[]), None);
     assert_contains(&table.link.identify().unwrap_err(), "this is not ABB");
     // The registers of one make do not exist at another.
-    let mut table = Table::mixed(&host, &profile_with("siemens-v20", &[]), None);
-    let refused = table.link.identify();
+    let refused = Table::mixed(&host, &profile_with("siemens-v20", &[]), None).link.identify();
     assert!(matches!(refused, Err(LinkError::Exception { .. })));
 }
 

@@ -142,8 +142,7 @@ impl Responder for Numbered {
                 meant.reads += 1;
                 let first = u16::from_be_bytes([high, low]);
                 let words = meant.registers(first, count.into()).into_iter();
-                let head = [code, 2 * count].into_iter();
-                head.chain(words.flat_map(u16::to_be_bytes)).collect()
+                [code, 2 * count].into_iter().chain(words.flat_map(u16::to_be_bytes)).collect()
             }
             [6, ..] => request.to_vec(),
             _ => Responder::modbus(&mut self.0, request),
@@ -421,8 +420,7 @@ fn on_a_stray_bus(
                 Ok(read.cells == meant.lock().unwrap().registers(address, words))
             });
         }
-        let line = CellBus::line(&bus).unwrap();
-        outcome.closed(CellBus::statistics(&bus), line.stale_frames)
+        outcome.closed(CellBus::statistics(&bus), CellBus::line(&bus).unwrap().stale_frames)
     })
 }
 

@@ -405,8 +405,7 @@ impl Plant {
             flux_factor: 0.0,
             torque_n_m: 0.0,
         };
-        let factors = self.effects.iter().map(|effect| effect.flux_factor(&at));
-        at.flux_factor = factors.product();
+        at.flux_factor = self.effects.iter().map(|effect| effect.flux_factor(&at)).product();
         at.torque_n_m = self.motor.torque_constant() * at.flux_factor * state.i;
         at
     }

@@ -144,8 +144,7 @@ fn medians(values: &[f64], offset: f64) -> Vec<f64> {
         .map(|at| {
             let mut three = finite(&values[at.saturating_sub(1)..(at + 2).min(values.len())]);
             three.sort_by(f64::total_cmp);
-            let middle = three.get(three.len() / 2);
-            middle.map_or(0.0, |value| value - offset)
+            three.get(three.len() / 2).map_or(0.0, |value| value - offset)
         })
         .collect()
 }
@@ -166,8 +165,7 @@ fn means(values: &[f64]) -> Vec<f64> {
 
 /// The values that were held at the scenario's samples.
 fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
-    let times = scenario.sample_time_s.iter();
-    times.map(|time_s| held(points, *time_s).unwrap_or(0.0)).collect()
+    scenario.sample_time_s.iter().map(|time_s| held(points, *time_s).unwrap_or(0.0)).collect()
 }
 
 // The winding of a shaft at rest: `u = R i + L di/dt`, nothing else.
@@ -307,8 +305,7 @@ impl Turned {
     /// Largest relative standard deviation of R and Ke, and of J where it leaves a trace between two samples; infinite where
     /// one is open.
     pub(super) fn worst(&self) -> f64 {
-        let mechanical_s = self.mechanical_s();
-        let inertia_shows = mechanical_s.is_none_or(|constant_s| constant_s > self.period_s);
+        let inertia_shows = self.mechanical_s().is_none_or(|constant_s| constant_s > self.period_s);
         NEEDED
             .into_iter()
             .chain(inertia_shows.then_some(MotorKey::Inertia))

@@ -153,8 +153,7 @@ fn departures(measured: &FrequencyResponse, model: &FrequencyResponse) -> Vec<De
     // Lines of more than one estimate, which are independent of each other.
     let lines_hz = 22.0 * measured.used_s.recip() * measured.stretches as f64;
     let own = measured.pathways.iter().filter_map(|own| {
-        let mut others = model.pathways.iter();
-        let other = others.find(|other| other.pathway == own.pathway)?;
+        let other = model.pathways.iter().find(|other| other.pathway == own.pathway)?;
         Some(bands(own, other, lines_hz))
     });
     own.flatten().collect()
@@ -175,8 +174,7 @@ fn bands(measured: &PathwayResponse, model: &PathwayResponse, lines_hz: f64) -> 
         .filter(|off| off.half_widths > 1.0)
         .collect();
     // Two points inside of their intervals do not end a band.
-    let pieces = off.chunk_by(|a, b| b.at - a.at <= 3);
-    let found = pieces.filter_map(|piece| {
+    let found = off.chunk_by(|a, b| b.at - a.at <= 3).filter_map(|piece| {
         let farthest = piece.iter().max_by(|a, b| a.half_widths.total_cmp(&b.half_widths))?;
         let (first, last) = (piece.first()?, piece.last()?);
         let (from_hz, to_hz) = (points[first.at].frequency_hz, points[last.at].frequency_hz);

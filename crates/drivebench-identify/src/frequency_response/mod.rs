@@ -215,8 +215,7 @@ impl PathwayResponse {
             .collect();
         let bands = carried.chunk_by(|a, b| b.0 - a.0 <= 4);
         let bands = bands.filter(|band| band.len() >= 3);
-        let ends = bands.map(|band| (band[0].1, band[band.len() - 1].1));
-        ends.collect()
+        bands.map(|band| (band[0].1, band[band.len() - 1].1)).collect()
     }
 }
 
@@ -281,8 +280,7 @@ impl Stretch {
     }
 
     fn is_steady(&self) -> bool {
-        let mut pairs = self.input.windows(2);
-        pairs.all(|pair| pair[0].1.to_bits() == pair[1].1.to_bits())
+        self.input.windows(2).all(|pair| pair[0].1.to_bits() == pair[1].1.to_bits())
     }
 
     fn line(&self, frequency_hz: f64) -> Line {
@@ -375,8 +373,7 @@ fn response_over(
             return Err(FrequencyResponseError::NoVoltage { run: run(), input });
         }
         let time_s = &scenario.sample_time_s;
-        let ends = time_s.first().zip(time_s.last());
-        let seconds = ends.map_or(0.0, |(first, last)| last - first);
+        let seconds = time_s.first().zip(time_s.last()).map_or(0.0, |(first, last)| last - first);
         if time_s.len() < SETTINGS.fewest_rows || seconds < SETTINGS.shortest_s {
             let rows = time_s.len();
             return Err(FrequencyResponseError::Short { run: run(), rows, seconds });
@@ -417,11 +414,9 @@ struct Estimator {
 impl Estimator {
     fn over(stretches: Vec<Stretch>) -> Self {
         let has = [0, 1].map(|output| {
-            let mut all = stretches.iter().flat_map(|own| &own.outputs[output]);
-            all.any(|value| value.is_finite())
+            stretches.iter().flat_map(|own| &own.outputs[output]).any(|value| value.is_finite())
         });
-        let periods = stretches.iter().map(|stretch| stretch.period_s);
-        let period_s = periods.fold(0.0, f64::max);
+        let period_s = stretches.iter().map(|stretch| stretch.period_s).fold(0.0, f64::max);
         let longest_s = stretches.iter().map(Stretch::length_s).fold(0.0, f64::max);
         let apart_hz = 1.0 / longest_s;
         let lowest_hz = (SIDE + 1) as f64 * apart_hz;
@@ -460,8 +455,7 @@ impl Estimator {
             .collect();
         let modes = self.modes(&locals, &pathways);
         let sampling_hz = 1.0 / self.period_s;
-        let mut points = pathways.iter().flat_map(|pathway| &pathway.points);
-        if !points.any(|point| point.is_carried) {
+        if !pathways.iter().flat_map(|pathway| &pathway.points).any(|point| point.is_carried) {
             cautions.push(format!(
                 "no frequency has a coherence of {CARRIED}: the excitation is too weak, or current and speed do not follow it"
             ));
@@ -588,8 +582,7 @@ impl Estimator {
         let mut modes = Vec::new();
         if self.has[1] {
             modes.extend(zeros(1).iter().map(|pair| mode(anti, voltage, pair)));
-            let poles = found.poles.iter();
-            modes.extend(poles.map(|pair| mode(resonance, voltage, pair)));
+            modes.extend(found.poles.iter().map(|pair| mode(resonance, voltage, pair)));
         }
         if self.has[0] && self.has[1] {
             // Speed over current: the numerator of the current is the denominator of the mechanics.

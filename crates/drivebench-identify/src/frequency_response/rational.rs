@@ -38,8 +38,7 @@ pub(super) struct Rational {
 /// The model with the order of the smallest BIC; `None` where no order has a minimum.
 pub(super) fn fit(stretches: &[Lines], period_s: f64) -> Option<Rational> {
     let task = Task::new(stretches, period_s)?;
-    let all = (2..=6).filter_map(|order| task.of_order(order));
-    let best = all.min_by(|a, b| a.0.total_cmp(&b.0));
+    let best = (2..=6).filter_map(|order| task.of_order(order)).min_by(|a, b| a.0.total_cmp(&b.0));
     best.map(|(_, found)| found)
 }
 
@@ -102,8 +101,7 @@ fn powers(s: Complex<f64>) -> impl Iterator<Item = Complex<f64>> {
 
 /// Coefficients from the lowest, real.
 fn value(coefficients: &[f64], s: Complex<f64>) -> Complex<f64> {
-    let terms = coefficients.iter().zip(powers(s));
-    terms.map(|(coefficient, power)| power * *coefficient).sum()
+    coefficients.iter().zip(powers(s)).map(|(coefficient, power)| power * *coefficient).sum()
 }
 
 /// The same with a leading 1 behind them.
@@ -236,8 +234,7 @@ impl Task {
         }
         let errors = self.rows.iter().map(|row| Self::error(layout, &found, row));
         let cost = errors.map(|error| error.norm_sqr()).sum();
-        let is_finite = found.iter().all(|value| value.is_finite());
-        is_finite.then_some((cost, found))
+        found.iter().all(|value| value.is_finite()).then_some((cost, found))
     }
 
     /// Weighted error of the model at a line.
@@ -260,8 +257,7 @@ struct Model<'a> {
 
 impl Model<'_> {
     fn parameters(&self, x: &[f64]) -> Vec<f64> {
-        let pairs = x.iter().zip(&self.scale);
-        pairs.map(|(x, scale)| x * scale).collect()
+        x.iter().zip(&self.scale).map(|(x, scale)| x * scale).collect()
     }
 }
 

@@ -197,8 +197,7 @@ impl Case<'_> {
             return Some(format!("the run has no {missing}"));
         }
         let unknown = |column: usize| {
-            let mut cells = rows.iter().flat_map(|rows| &rows.columns[column]);
-            cells.all(|cell| !cell.is_finite())
+            rows.iter().flat_map(|rows| &rows.columns[column]).all(|cell| !cell.is_finite())
         };
         if let Some(column) = (0..unknowns.len()).find(|column| unknown(*column)) {
             return Some(match &unknowns[column].slot {

@@ -411,7 +411,6 @@ fn on(grid: &[f64], points: &[(f64, f64)], curved: bool) -> (Vec<f64>, bool) {
     } else if curved {
         (spline(points, grid), true)
     } else {
-        let line = grid.iter().map(|at| signal::line_with_ends(points, *at));
-        (line.collect(), true)
+        (grid.iter().map(|at| signal::line_with_ends(points, *at)).collect(), true)
     }
 }

@@ -180,8 +180,7 @@ fn current_and_speed_alone_bear_jitter_holes_and_a_pause() {
         let parameter = found(&balances, key);
         assert_eq!((parameter.value, parameter.verdict), (None, Verdict::NotObservable));
         let mut words = parameter.reason.as_deref().unwrap().split_whitespace();
-        let number = words.find_map(|word| word.parse::<f64>().ok());
-        assert_near(number.unwrap(), ratio, 0.02);
+        assert_near(words.find_map(|word| word.parse::<f64>().ok()).unwrap(), ratio, 0.02);
     }
 }
 

@@ -116,8 +116,7 @@ fn a_steady_state_settles_nothing_that_it_does_not_show() {
 #[test]
 fn a_bad_sample_is_left_out_and_one_quantity_alone_is_used() {
     let mut kalman = Kalman::new(&unknown());
-    let run = run_under_steps(&paper(), 0.001, 4.0, 2);
-    for (k, mut sample) in run.samples().enumerate() {
+    for (k, mut sample) in run_under_steps(&paper(), 0.001, 4.0, 2).samples().enumerate() {
         match k % 7 {
             2 => sample.set(Channel::Speed, f64::NAN),
             4 => sample.set_stale(Channel::Current),

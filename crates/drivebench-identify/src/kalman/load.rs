@@ -194,8 +194,7 @@ pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadErro
         notes.push("the model has no winding: the measured current drives the shaft, straight between samples".to_owned());
         input = Input::Current;
     }
-    let driving = run.points(driving(input)).map(|point| point.1.abs());
-    let most = driving.fold(0.0, f64::max);
+    let most = run.points(driving(input)).map(|point| point.1.abs()).fold(0.0, f64::max);
     let per_unit = match input {
         Input::Torque => 1.0,
         _ => model.motor.torque_constant().unwrap_or(1.0),

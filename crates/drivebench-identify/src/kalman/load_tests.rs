@@ -156,8 +156,7 @@ fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
     let run = record.run(Some(4));
     let model = Model::baseline(motor(&PAPER));
     let mut tracker = LoadTracker::new(&model, Input::Voltage, 0.5).unwrap();
-    let points = run.samples().filter_map(|sample| tracker.push(&sample));
-    let last = points.last().unwrap();
+    let last = run.samples().filter_map(|sample| tracker.push(&sample)).last().unwrap();
     let is_open = (last.load_torque_n_m - 0.2).abs() < 3.0 * last.std_n_m && last.std_n_m > 0.2;
     assert!(is_open, "{last:?}");
     let refused = load_torque_trace(&run, &model);

@@ -87,8 +87,7 @@ fn balances_of(truth: &Model) -> [Vec<ParameterEstimate>; 2] {
     scenario.input = Input::Current;
     let fitted = |mut model: Model| {
         model.motor.set(MotorKey::TorqueConstant, BRUSHED[2]);
-        let balances = weak_form::fit(&model, &scenario).into_iter();
-        balances.flat_map(|own| own.parameters).collect()
+        weak_form::fit(&model, &scenario).into_iter().flat_map(|own| own.parameters).collect()
     };
     let before: Vec<ParameterEstimate> = fitted(unknown());
     let mut after = before.clone();

@@ -234,8 +234,7 @@ impl<'a> FreeRun<'a> {
     }
 
     fn plant(&self, x: &[f64]) -> Result<Plant, ModelError> {
-        let plant = Plant::new(&self.model_at(x), self.scenario.input)?;
-        Ok(plant.coarse(self.coarse_s))
+        Ok(Plant::new(&self.model_at(x), self.scenario.input)?.coarse(self.coarse_s))
     }
 
     /// Units in which the initial state is fitted; the scales of the run without a measurement.
@@ -321,8 +320,7 @@ fn smallest_load_n_m(model: &Model, scenario: &Scenario) -> f64 {
 }
 
 fn first_finite(values: &[f64]) -> f64 {
-    let mut values = values.iter().copied();
-    values.find(|value| value.is_finite()).unwrap_or(0.0)
+    values.iter().copied().find(|value| value.is_finite()).unwrap_or(0.0)
 }
 
 /// At rest: the first speeds are zero within their noise while the input is still zero, or the run begins with both

@@ -89,8 +89,7 @@ fn without_motion_or_speed_only_the_winding_is_claimed() {
     for (start, scenario, noise) in
         [(&truth, still, NOISE), (&off_by(&truth, 1.2), without_speed, no_speed)]
     {
-        let fit = fit(std::slice::from_ref(start), &scenario, &noise).unwrap();
-        for estimate in &fit.parameters {
+        for estimate in &fit(std::slice::from_ref(start), &scenario, &noise).unwrap().parameters {
             let electrical = ["resistance_ohm", "inductance_h"].contains(&estimate.key.as_str());
             assert_eq!(estimate.value.is_some(), electrical, "{estimate:?}");
             let is_open = estimate.verdict == Verdict::NotObservable;

@@ -446,8 +446,7 @@ fn a_frozen_encoder_is_neither_open_terminals_nor_rest() {
         [(97.125, "Froze { key: \"speed_rad_s\", value: 97.125"), (0.0, "SpeedDead { from_s: 1.4")]
     {
         let mut it = Columns::of(scenario.clone());
-        let row = it.time_s.partition_point(|time_s| *time_s < 1.4);
-        it.speed[row..].fill(at);
+        it.speed[it.time_s.partition_point(|time_s| *time_s < 1.4)..].fill(at);
         assert_refused(it.run(), &paper(), Kind::Frozen, parts);
     }
     // A shaft that sticks under a small voltage reads exactly zero too, rightly.
@@ -500,8 +499,7 @@ fn a_shaft_that_a_torque_turns_round_within_a_row_is_no_counter() {
         run
     };
     let is_overflow = |torques| {
-        let findings = judged(run_with(torques), &unknown()).1;
-        findings.iter().any(|found| found.kind == Kind::Overflow)
+        judged(run_with(torques), &unknown()).1.iter().any(|found| found.kind == Kind::Overflow)
     };
     assert!(!is_overflow((0..400).map(|row| sign(row) * 0.2).collect()));
     assert!(is_overflow((0..400).map(|row: usize| 0.2 + 0.1 * (row / 150) as f64).collect()));

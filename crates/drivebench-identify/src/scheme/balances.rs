@@ -55,8 +55,7 @@ fn filtered_balances(id: &'static str, data: &Data<'_>) -> Result<Identified, Id
     let electrical = data.scenario.input == Input::Voltage;
     let rows = balances.last().map_or(0, |torque| torque.rows);
     let of_all = |balances: Vec<inverse_dynamics::Balanced>| {
-        let all = balances.into_iter().flat_map(|balance| balance.parameters);
-        once_each(all.collect())
+        once_each(balances.into_iter().flat_map(|balance| balance.parameters).collect())
     };
     let mut found = of_all(balances);
     if !electrical {

@@ -125,8 +125,7 @@ pub(super) fn with_lost_voltages(run: &Run, scenario: &Scenario) -> Result<Run, 
     let is_new =
         |time_s: f64| !times[times.partition_point(|time| *time < time_s)..].starts_with(&[time_s]);
     let mut rows: Vec<(f64, Option<usize>)> = times.iter().copied().zip((0..).map(Some)).collect();
-    let lost = holes.iter().map(|hole| (hole.from_s, None));
-    rows.extend(lost.filter(|row| is_new(row.0)));
+    rows.extend(holes.iter().map(|hole| (hole.from_s, None)).filter(|row| is_new(row.0)));
     rows.sort_by(|a, b| a.0.total_cmp(&b.0));
     let place = |time_s: f64| rows.partition_point(|row| row.0 < time_s);
     let mut whole = Run::new(run.name.clone(), rows.iter().map(|row| row.0).collect())?;

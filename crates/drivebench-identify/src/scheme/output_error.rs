@@ -139,8 +139,7 @@ mod tests {
         });
         put(&mut run, Channel::Angle, wrapped.collect());
         let found = identify(OUTPUT_ERROR.id, &run, &start).unwrap().parameters;
-        let order = judged(&found, "cogging.order", Verdict::Settled);
-        assert_eq!(order.value, Some(9.0));
+        assert_eq!(judged(&found, "cogging.order", Verdict::Settled).value, Some(9.0));
         let sin = of(&found, "cogging.sin_n_m").value.unwrap();
         assert!((sin - 0.06).abs() < 0.01, "{sin}");
     }

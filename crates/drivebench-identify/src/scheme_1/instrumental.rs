@@ -396,8 +396,7 @@ fn pairs(series: &Series<'_>, auxiliary: &[Reading], model: &Dynamics) -> Vec<Pa
         };
         let valid = Row::signed(&last).is_some();
         if !valid {
-            let terms = instrument.regressor.iter().zip(theta);
-            let explained: f64 = terms.map(|(x, t)| x * t).sum();
+            let explained: f64 = instrument.regressor.iter().zip(theta).map(|(x, t)| x * t).sum();
             row.value -= instrument.value - explained;
         }
         let [instrument, regressor] = [&instrument, &row].map(|row| tied(row, ratio));

@@ -6,8 +6,7 @@ use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 
 fn value(balances: &[Balanced], key: &str) -> f64 {
-    let mut all = balances.iter().flat_map(|b| &b.parameters);
-    all.find(|p| p.key == key).unwrap().value.unwrap()
+    balances.iter().flat_map(|b| &b.parameters).find(|p| p.key == key).unwrap().value.unwrap()
 }
 
 #[test]
@@ -88,8 +87,7 @@ fn the_interval_covers_and_coarse_sampling_widens_it() {
         let (mut inside, mut all, mut wrong) = (0, 0, Vec::new());
         for seed in 0..40 {
             let (truth, run) = noisy(seed, period_s);
-            let found = fit(&unknown, &run);
-            for p in found.iter().flat_map(|b| &b.parameters) {
+            for p in fit(&unknown, &run).iter().flat_map(|b| &b.parameters) {
                 let expected = truth.motor.get(MotorKey::from_key(&p.key).unwrap()).unwrap();
                 let Some(value) = p.value.filter(|_| p.std.is_some()) else { continue };
                 all += 1;
@@ -115,8 +113,7 @@ fn noise_at_rest_and_at_constant_speed_settles_nothing() {
             (run.current_a[k], run.speed_rad_s[k]) = (f64::NAN, f64::NAN);
         }
     }
-    let found = fit(&testing::unknown(), &run);
-    for p in found.iter().flat_map(|b| &b.parameters) {
+    for p in fit(&testing::unknown(), &run).iter().flat_map(|b| &b.parameters) {
         if ["inductance_h", "inertia_kg_m2"].contains(&p.key.as_str()) {
             assert_eq!((p.value, p.verdict), (None, Verdict::NotObservable), "{p:?}");
         }

@@ -71,8 +71,7 @@ pub(super) fn request(id: u8, turn: Turn<'_>) -> Vec<u8> {
             head.chain(put.cells.iter().map(|cell| byte_of(*cell))).collect()
         }
         (None, Some(read)) => {
-            let parts = [read.address.to_le_bytes(), read.count.to_le_bytes()];
-            [&[READ][..], &parts.concat()].concat()
+            [&[READ][..], &[read.address.to_le_bytes(), read.count.to_le_bytes()].concat()].concat()
         }
         (None, None) => Vec::new(),
     };

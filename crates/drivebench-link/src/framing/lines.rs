@@ -160,8 +160,7 @@ impl Grammar {
 
     /// Lines that answer a turn.
     pub(crate) fn answers(&self, turn: Turn<'_>) -> u32 {
-        let parts = self.parts(turn, 0);
-        let count = parts.iter().filter(|part| !part.answer.is_empty()).count();
+        let count = self.parts(turn, 0).iter().filter(|part| !part.answer.is_empty()).count();
         u32::try_from(count).unwrap_or(u32::MAX)
     }
 

@@ -14,8 +14,7 @@ impl Expected {
     /// Whether a frame may be the late reply to an earlier request that got none.
     pub(crate) fn may_be_late(&self, frame: &[u8]) -> bool {
         let response = unit_and_pdu(frame).map(|(_, response)| response).unwrap_or_default();
-        let mut unanswered = self.earlier.iter().filter(|(_, is_answered)| !is_answered);
-        unanswered.any(|(request, _)| {
+        self.earlier.iter().filter(|(_, is_answered)| !is_answered).any(|(request, _)| {
             unit_and_pdu(request).is_some_and(|(_, pdu)| answers(pdu, response))
         })
     }
@@ -256,8 +255,7 @@ mod tests {
             ("one write", frame(1, &[6, 0, 201, 0, 0]), 1),
             ("both ends", [many, acknowledged].concat(), 2),
         ] {
-            let found = search_rtu(&expected, &bytes);
-            assert_eq!(found.foreign_writes, writes, "{what}");
+            assert_eq!(search_rtu(&expected, &bytes).foreign_writes, writes, "{what}");
         }
         // Registers that hold a right check sum by chance, and the drive's own reply of another length.
         let command = frame(1, &[23, 0, 0, 0, 2, 0, 32, 0, 1, 2, 0, 7]);
@@ -324,8 +322,7 @@ mod tests {
         for nothing in [&damaged[..], &reply[..8]] {
             assert_eq!(rtu(&request, &[nothing], false), Search::default());
         }
-        let after_garbage = rtu(&request, &[&[1, 3, 4], &reply], false);
-        assert_eq!(after_garbage.reply, Some((3, 12)));
+        assert_eq!(rtu(&request, &[&[1, 3, 4], &reply], false).reply, Some((3, 12)));
         let echoed = rtu(&request, &[&request, &reply], false);
         assert_eq!((echoed.echo, echoed.reply), (true, Some((8, 17))));
         // Refusals, probes and writes are compared whole.

@@ -78,8 +78,7 @@ pub(super) fn request(turn: Turn<'_>, number: u32) -> Vec<u8> {
     });
     let [b3, b2, b1, b0] = (mask | number << NUMBER_SHIFT).to_be_bytes();
     let parts = put.into_iter().chain(command.map(|command| vec![command]));
-    let parts = parts.chain([vec![SELECTIVE, b3, b2, b1, b0]]);
-    parts.flat_map(|payload| packet(&payload)).collect()
+    parts.chain([vec![SELECTIVE, b3, b2, b1, b0]]).flat_map(|payload| packet(&payload)).collect()
 }
 
 /// Bytes of a turn on the line, and of its reply.

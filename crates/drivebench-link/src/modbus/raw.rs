@@ -254,8 +254,7 @@ impl RawClient {
     /// [`LinkError::Gone`] only.
     pub fn object(&mut self, object: u8) -> Result<Option<String>> {
         let what = "an object of the identification";
-        let texts = self.texts(ReadCode::Specific, object, what)?;
-        Ok(texts.into_iter().next())
+        Ok(self.texts(ReadCode::Specific, object, what)?.into_iter().next())
     }
 
     fn texts(&mut self, code: ReadCode, object: u8, what: &str) -> Result<Vec<String>> {
@@ -413,8 +412,7 @@ pub fn read_batch(
 }
 
 fn elapsed_s(since: Instant) -> f64 {
-    let elapsed = now().saturating_duration_since(since);
-    elapsed.as_secs_f64()
+    now().saturating_duration_since(since).as_secs_f64()
 }
 
 fn sorted(mut round_trips: Vec<Duration>) -> Vec<Duration> {

@@ -85,8 +85,7 @@ fn take(
             quantity: (row.name == "bus_voltage").then_some(Quantity::BusVoltage),
         });
     }
-    let telemetry = Telemetry::from_registers(block);
-    let state = telemetry.status.state();
+    let state = Telemetry::from_registers(block).status.state();
     for (name, of) in [("running", State::Running), ("fault", State::Fault)] {
         report
             .states

@@ -138,8 +138,7 @@ impl Points {
     ) -> Option<f64> {
         let (at, point) = find(map, &map.demand(quantity)?.name)?;
         let is_held = |sent: &&Sent| !sent.in_doubt && sent.mismatches == 0;
-        let sent = self.sent.get(at).filter(is_held)?;
-        Some(sent.value? * readings.demand_si(point)?)
+        Some(self.sent.get(at).filter(is_held)?.value? * readings.demand_si(point)?)
     }
 
     /// Holds a reference: within its limits, no faster than its slew.
@@ -191,8 +190,7 @@ impl Points {
     }
 
     pub(super) fn next_due_s(&self) -> Option<f64> {
-        let points = self.sent.iter().zip(&self.map.set_points);
-        let due = points.filter_map(|(sent, point)| {
+        let due = self.sent.iter().zip(&self.map.set_points).filter_map(|(sent, point)| {
             sent.value?;
             Some(sent.at_s + point.refresh_s()?)
         });
@@ -475,8 +473,7 @@ impl Points {
 
     /// The longest row of read-backs that were not what was written.
     pub(super) fn mismatches(&self) -> u32 {
-        let mismatches = self.sent.iter().map(|sent| sent.mismatches);
-        mismatches.max().unwrap_or(0)
+        self.sent.iter().map(|sent| sent.mismatches).max().unwrap_or(0)
     }
 
     pub(super) fn mismatch_text(&self) -> String {
@@ -520,8 +517,7 @@ impl Points {
 }
 
 fn find<'a>(map: &'a RegisterMap, name: &str) -> Option<(usize, &'a SetPoint)> {
-    let mut points = map.set_points.iter().enumerate();
-    points.find(|(_, point)| point.name == name)
+    map.set_points.iter().enumerate().find(|(_, point)| point.name == name)
 }
 
 /// Whether a write was accepted and has not ended (exception 05, acknowledge).

@@ -152,8 +152,7 @@ impl Readings {
     pub(super) fn read_now(&mut self, bus: &mut dyn CellBus, quantity: Quantity) -> Result<()> {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
-            let mut indices = block.signals.iter();
-            indices.any(|index| signals[*index].keys.quantity == quantity)
+            block.signals.iter().any(|index| signals[*index].keys.quantity == quantity)
         };
         match self.slow.iter().find(holds).cloned() {
             Some(block) => self.read(bus, &block),

@@ -143,8 +143,7 @@ impl Sequence {
     }
 
     fn refusal(&self) -> String {
-        let refused = self.refused.as_ref();
-        refused.map_or_else(String::new, |(why, _)| format!("; before that {why}"))
+        self.refused.as_ref().map_or_else(String::new, |(why, _)| format!("; before that {why}"))
     }
 
     /// This step is over: its write has been acknowledged, or its wait has ended or does not matter any more.

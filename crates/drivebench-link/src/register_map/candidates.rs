@@ -320,8 +320,7 @@ impl Picture<'_> {
 
     /// Registers that the whole profile is most likely off by.
     fn moved(&self) -> i8 {
-        let best = self.of_whole();
-        best.first().map_or(0, |(change, _)| change.shift)
+        self.of_whole().first().map_or(0, |(change, _)| change.shift)
     }
 
     fn of_whole(&self) -> Vec<(Change, Hypothesis)> {

@@ -404,8 +404,7 @@ impl RegisterMap {
     }
 
     pub fn of_quantity(&self, quantity: Quantity) -> Option<&Signal> {
-        let mut signals = self.signals.iter();
-        signals.find(|signal| signal.keys.quantity == quantity)
+        self.signals.iter().find(|signal| signal.keys.quantity == quantity)
     }
 
     pub fn set_point(&self, name: &str) -> Option<&SetPoint> {
@@ -420,8 +419,7 @@ impl RegisterMap {
                 && point.keys.quantity == Quantity::Duty
                 && self.of_channel(Channel::Bus).is_some()
         };
-        let mut points = self.set_points.iter();
-        points.find(is_it).or_else(|| self.set_points.iter().find(duty))
+        self.set_points.iter().find(is_it).or_else(|| self.set_points.iter().find(duty))
     }
 
     pub fn state(&self, name: &str) -> Option<&Condition> {

@@ -461,8 +461,7 @@ impl Reader<'_> {
         let part = self.part(spanned.span(), "watchdog: ");
         let mut found = None;
         if let Some(time) = &keys.time {
-            let numbering = self.numbering;
-            let resolved = numbering.resolve(time.address, time.parameter.as_deref(), None);
+            let resolved = self.numbering.resolve(time.address, time.parameter.as_deref(), None);
             let (address, _) = part.of("time", resolved)?;
             let unit_ms = time.unit_ms;
             let holds = unit_ms.is_finite() && unit_ms > 0.0;
@@ -510,8 +509,7 @@ impl Reader<'_> {
                     return Err(self.at(&reason.span(), "", message));
                 }
                 (None, None) if RegisterMap::REQUIRED.contains(&channel) => {
-                    let no_channel = self.no_channel(file, key, map);
-                    return Err(no_channel.unwrap_or_else(|| {
+                    return Err(self.no_channel(file, key, map).unwrap_or_else(|| {
                         self.whole(
                             "[signals",
                             format!("{key} is neither mapped nor declared missing (expected a signal, or {key} = \"why\" in [missing])"),
@@ -574,8 +572,7 @@ impl Reader<'_> {
             let registers = location.layout.cells();
             let message =
                 format_args!("{kind} {name} has {registers} registers, and {key} is {most}");
-            let part = self.part(span, "");
-            part.require(registers <= most, "type", message)
+            self.part(span, "").require(registers <= most, "type", message)
         };
         for Signal { name, numbers, location, keys, .. } in &map.signals {
             let Some(span) = file.signals.get(name).map(Spanned::span) else { continue };
@@ -750,8 +747,7 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
         return Err(("type", message.to_owned()));
     }
     if keys.poll != PollRate::Fast {
-        let message = "a clock stamps every sample (expected poll = \"fast\")";
-        return Err(("poll", message.to_owned()));
+        return Err(("poll", "a clock stamps every sample (expected poll = \"fast\")".to_owned()));
     }
     for (key, is_there) in [
         ("valid", keys.valid.is_some()),

@@ -110,8 +110,7 @@ fn reads_keep_the_drives_limits_and_serve_every_signal() {
                 served += block.signals.len();
             }
             let read = map.signals.iter().filter(|signal| signal.formula.is_none());
-            let wanted = read.filter(|signal| signal.keys.poll == poll);
-            assert_eq!(served, wanted.count(), "{name}");
+            assert_eq!(served, read.filter(|signal| signal.keys.poll == poll).count(), "{name}");
         }
     }
     // Eleven registers in one read; one register a request.
@@ -123,8 +122,7 @@ fn reads_keep_the_drives_limits_and_serve_every_signal() {
         ("dynamixel-xm430", 1),
         ("vesc-dc", 1),
     ] {
-        let fast = plan_reads(&map(name), PollRate::Fast);
-        assert_eq!(fast.len(), reads, "{name}");
+        assert_eq!(plan_reads(&map(name), PollRate::Fast).len(), reads, "{name}");
     }
 }
 
@@ -245,8 +243,7 @@ fn a_missing_command_may_be_declared_empty() {
 
 #[test]
 fn the_example_of_the_manual_page_is_a_profile() {
-    let page = include_str!("../../../../docs/drives.md");
-    let (_, rest) = page.split_once("```toml\n").unwrap();
+    let (_, rest) = include_str!("../../../../docs/drives.md").split_once("```toml\n").unwrap();
     let (example, _) = rest.split_once("```").unwrap();
     let profile = DriveProfile::parse("acme-40.toml", example).unwrap();
     assert_eq!(profile.name, "acme-40");

@@ -84,15 +84,13 @@ pub(super) fn help<'a>(
     if let Some(help) = ENDINGS.iter().find_map(converted) {
         return Some(help);
     }
-    let mut units = UNITS.iter();
-    if let Some((_, unit, factor)) = units.find(|row| row.0 == given && is_allowed(row.1)) {
+    if let Some((_, unit, factor)) = UNITS.iter().find(|row| row.0 == given && is_allowed(row.1)) {
         return Some(format!(
             "give unit {unit:?} with scale {factor}: 1 {given} is {factor} {unit}"
         ));
     }
     let lower = given.to_ascii_lowercase();
-    let name = NAMES.iter().find(|name| name.0 == lower && is_allowed(name.1))?;
-    Some(format!("give `{}`", name.1))
+    Some(format!("give `{}`", NAMES.iter().find(|name| name.0 == lower && is_allowed(name.1))?.1))
 }
 
 #[cfg(test)]

@@ -95,8 +95,7 @@ fn peak_of_target(segments: &[Segment]) -> f64 {
         Target::Voltage(pieces) => pieces,
         Target::Coast => Vec::new(),
     };
-    let pieces = segments.iter().flat_map(pieces);
-    let ends = pieces.flat_map(|piece| [piece.from_v, piece.to_v]);
+    let ends = segments.iter().flat_map(pieces).flat_map(|piece| [piece.from_v, piece.to_v]);
     ends.fold(0.0, |peak_v, volts| peak_v.max(volts.abs()))
 }
 
@@ -128,8 +127,7 @@ const POINTS: usize = 400;
 fn keeps_the_contract(segments: &[Segment], slew_v_per_s: f64, order: &[usize]) {
     let program = Program::new(segments, slew_v_per_s).unwrap();
     let (duration_s, peak_v) = (program.duration_s(), program.peak_v());
-    let lengths = segments.iter().map(|part| part.excitation().duration_s());
-    let set_s: f64 = lengths.sum();
+    let set_s: f64 = segments.iter().map(|part| part.excitation().duration_s()).sum();
     let most_s = set_s + peak_v / slew_v_per_s;
     assert!((set_s - 1e-9..=most_s + 1e-9).contains(&duration_s));
     assert!(peak_v <= peak_of_target(segments) + 1e-9);

@@ -101,8 +101,7 @@ mod tests {
         let at = |seed| volts(&program(24.0, 400.0, seed));
         assert_eq!(at(1), at(1));
         let (one, two) = (at(1), at(2));
-        let pairs = one.iter().zip(&two);
-        let differ = pairs.filter(|(a, b)| (*a - *b).abs() > 1e-9).count();
+        let differ = one.iter().zip(&two).filter(|(a, b)| (*a - *b).abs() > 1e-9).count();
         assert!(differ > 300, "{differ} of 1200 instants differ");
     }
 

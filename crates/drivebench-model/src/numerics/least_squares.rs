@@ -172,8 +172,7 @@ pub fn inverse_of_normal(normal: &DMatrix<f64>) -> (DMatrix<f64>, Vec<bool>) {
     if unknowns == 0 {
         return (DMatrix::zeros(0, 0), Vec::new());
     }
-    let diagonal = normal.diagonal();
-    let norms: Vec<f64> = diagonal.iter().map(|square| square.sqrt()).collect();
+    let norms: Vec<f64> = normal.diagonal().iter().map(|square| square.sqrt()).collect();
     let largest = norms.iter().copied().fold(0.0, f64::max);
     let has_size = |norm: &f64| *norm > 1e-12 * largest && *norm > 0.0;
     let mut determined: Vec<bool> = norms.iter().map(has_size).collect();

@@ -17,8 +17,7 @@ pub fn radius(size: usize, mut step: impl FnMut(&mut [f64])) -> f64 {
         return f64::INFINITY;
     }
     let eigenvalues = matrix.complex_eigenvalues();
-    let sizes = eigenvalues.iter().map(|value| value.norm());
-    sizes.fold(0.0, f64::max)
+    eigenvalues.iter().map(|value| value.norm()).fold(0.0, f64::max)
 }
 
 #[cfg(test)]

@@ -12,8 +12,7 @@ pub fn mean(values: &[f64]) -> f64 {
 /// Largest magnitude of the finite values; zero where there are none.
 pub fn largest<V: Borrow<f64>>(values: impl IntoIterator<Item = V>) -> f64 {
     let magnitudes = values.into_iter().map(|value| value.borrow().abs());
-    let finite = magnitudes.filter(|magnitude| magnitude.is_finite());
-    finite.fold(0.0, f64::max)
+    magnitudes.filter(|magnitude| magnitude.is_finite()).fold(0.0, f64::max)
 }
 
 /// Minimum and maximum; plus and minus infinity for no values.
@@ -118,8 +117,7 @@ pub fn is_coloured(values: &[f64]) -> bool {
 /// Ljung-Box statistic of the correlations at lags 1, 2, ... of so many values (Ljung and Box 1978).
 pub fn ljung_box_statistic(correlations: &[f64], values: usize) -> f64 {
     let n = values as f64;
-    let lags = correlations.iter().zip(1..);
-    let terms = lags.map(|(rho, lag)| rho * rho / (n - f64::from(lag)));
+    let terms = correlations.iter().zip(1..).map(|(rho, lag)| rho * rho / (n - f64::from(lag)));
     n * (n + 2.0) * terms.sum::<f64>()
 }
 

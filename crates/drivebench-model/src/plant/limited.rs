@@ -157,8 +157,7 @@ fn replaced(events: &[Point], stretch: &Stretch, reached: &mut Vec<LimitReached>
     let before = events.iter().filter(|event| event.0 < stretch.before_s);
     let after = events.iter().filter(|event| event.0 > after_s);
     let end = (after_s, command_at(after_s));
-    let before = before.copied().chain(inside).chain([end]);
-    before.chain(after.copied()).collect()
+    before.copied().chain(inside).chain([end]).chain(after.copied()).collect()
 }
 
 /// The instant of the largest change of the command within `(from_s, to_s]`, if it changed.
@@ -282,8 +281,7 @@ mod tests {
             (Channel::Current, current, Origin::Measured),
             (Channel::Speed, speed, Origin::Measured),
         ];
-        let times = (0..40).map(|row| 0.01 * f64::from(row));
-        let mut run = run_of("r", times.collect(), columns);
+        let mut run = run_of("r", (0..40).map(|row| 0.01 * f64::from(row)).collect(), columns);
         run.set_limited_rows(limited);
         run
     }

@@ -54,8 +54,7 @@ impl FileHistory {
     /// `20261126T073220Z-NAME`.
     pub fn is_of_another_bench(&self, name: &str) -> bool {
         let is_foreign = |run: &String| {
-            let folder = run.rsplit('/').next().unwrap_or_default();
-            let parts = folder.split_once("Z-");
+            let parts = run.rsplit('/').next().unwrap_or_default().split_once("Z-");
             parts.is_some_and(|(stamp, bench)| stamp.len() == 15 && !bench.starts_with(name))
         };
         !self.fitted_on.is_empty() && self.fitted_on.iter().all(is_foreign)
@@ -312,8 +311,7 @@ impl Reader<'_> {
         };
         let mut from = 0;
         for table in tables {
-            let next = self.text[from..].find("[[effect]]");
-            from = next.map_or(from, |offset| from + offset + 1);
+            from = self.text[from..].find("[[effect]]").map_or(from, |offset| from + offset + 1);
             let Some(table) = table.as_table() else {
                 return Err(self.error(from, "", "an effect must be a table"));
             };
@@ -489,8 +487,7 @@ value_2 = 1.5
         }
         assert_eq!(again.model.fixed, ["inertia_kg_m2", "resistance_ohm"]);
         assert_eq!(again.model.held, file.model.held);
-        let without = again.model.without_effect("table_time").unwrap();
-        assert_eq!(without.fixed, ["inertia_kg_m2"]);
+        assert_eq!(again.model.without_effect("table_time").unwrap().fixed, ["inertia_kg_m2"]);
     }
 
     #[test]

@@ -256,8 +256,7 @@ mod tests {
             let events = (0..).map(|step| hold_s * f64::from(step)).zip(levels);
             let events = events.take_while(|event| event.0 < 8.0).collect();
             let run = record(&model, events, 4e-3, 8.0, 3);
-            let scales = RunScales::of(&run);
-            let ratio = scales.response_s / 0.042;
+            let ratio = RunScales::of(&run).response_s / 0.042;
             assert!((0.8..1.3).contains(&ratio), "{hold_s}: {ratio}");
         }
     }

@@ -61,8 +61,7 @@ mod tests {
 
     /// A signal every `period_s`.
     fn sampled(period_s: f64, of: impl Fn(f64) -> f64) -> Vec<(f64, f64)> {
-        let times = (0..400).map(|k| f64::from(k) * period_s);
-        times.map(|t| (t, of(t))).collect()
+        (0..400).map(|k| f64::from(k) * period_s).map(|t| (t, of(t))).collect()
     }
 
     fn largest_error(angle: &[(f64, f64)]) -> f64 {

@@ -183,8 +183,7 @@ impl Plant {
         let electromechanical = (a[0][1] * a[1][0]).abs().sqrt();
         let path = &equations.path;
         let lags = [path.speed_filter_s, path.current_filter_s].into_iter();
-        let rates = lags.filter(|tau| *tau > 0.0).map(f64::recip);
-        let lag = rates.fold(0.0, f64::max);
+        let lag = lags.filter(|tau| *tau > 0.0).map(f64::recip).fold(0.0, f64::max);
         let rate =
             a[0][0].abs() + electromechanical + lag + steep::fastest(equations, REFERENCE_SUPPLY_V);
         (0.25 / rate).min(RunScales::REFERENCE.responses(LONGEST_STEP_WITH_EFFECTS))
@@ -270,8 +269,7 @@ impl Plant {
         let most_v = largest(scenario.events.iter().map(|event| event.1));
         self.steep = Steep::of(&self.equations, self.longest_step_s, most_v);
         let mut now_s = self.begin_s;
-        let needs_angle = self.equations.needs_angle;
-        let angles = needs_angle.then(|| scenario.shaft_angle());
+        let angles = self.equations.needs_angle.then(|| scenario.shaft_angle());
         let mut angle = AngleTrack { points: angles.as_deref().unwrap_or_default(), next: 0 };
         self.sensors = (!self.equations.path.measures_directly())
             .then(|| Sensors::new(self.equations.path, reading(now_s, &state)));

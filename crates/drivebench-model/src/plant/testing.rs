@@ -36,8 +36,7 @@ pub fn record(
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut noisy = |values: &[f64], sigma: f64| -> Vec<f64> {
         let noise = Normal::new(0.0, sigma).expect("a positive deviation");
-        let noisy = values.iter().map(|value| value + noise.sample(&mut rng));
-        noisy.collect()
+        values.iter().map(|value| value + noise.sample(&mut rng)).collect()
     };
     scenario.current_a = noisy(&out.current_a, CURRENT_NOISE_A);
     scenario.speed_rad_s = noisy(&out.speed_rad_s, SPEED_NOISE_RAD_S);
@@ -65,8 +64,7 @@ pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)
 
 pub fn motor(name: &str, values: &[f64; 5]) -> Motor {
     use MotorKey::{BackEmf, Inductance, Inertia, LoadTorque, Resistance};
-    let keys = [Resistance, Inductance, BackEmf, Inertia, LoadTorque];
-    let values = keys.into_iter().zip(values);
+    let values = [Resistance, Inductance, BackEmf, Inertia, LoadTorque].into_iter().zip(values);
     values.fold(Motor::new(name), |motor, (key, value)| motor.with(key, *value))
 }
 

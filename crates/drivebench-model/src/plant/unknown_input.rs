@@ -210,8 +210,7 @@ fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     if !writes_repeats && mean(&over_holes) < 1.5 * mean(&alone) && !mostly_distinct(input) {
         return None;
     }
-    let lost = multiples.iter().map(|multiple| whole((multiple - 1.0).max(0.0)));
-    Some((period_s, lost.collect()))
+    Some((period_s, multiples.iter().map(|multiple| whole((multiple - 1.0).max(0.0))).collect()))
 }
 
 /// The period, and the length of each step in periods. The median of late polls is too long where rows were lost, by a whole row
@@ -439,8 +438,7 @@ impl<'a> CompleteIntervals<'a> {
     /// Mean over the lost rows between two, by the current; `beside` are their deviations from it.
     fn by_current(&self, [row, end]: [usize; 2], beside: &[f64]) -> Option<f64> {
         let measured = [self.measured[row], self.measured[end]];
-        let winding = self.winding.as_ref()?;
-        winding.voltage(measured, self.input[row].1, beside)
+        self.winding.as_ref()?.voltage(measured, self.input[row].1, beside)
     }
 
     /// The course between two rows that have `rows` lost ones between them.
@@ -636,8 +634,7 @@ mod tests {
         // Half of the time the one between two equal values of a random sequence is the other: (2 x 5)^2 / 2.
         assert!(fast.iter().filter(equal).all(|hole| off(hole, 50.0) < 20.0));
         // Between two that differ it was one of them.
-        let mut differ = slow.iter().filter(|hole| !equal(hole));
-        assert!(differ.all(|hole| off(hole, 25.0) < 1.0));
+        assert!(slow.iter().filter(|hole| !equal(hole)).all(|hole| off(hole, 25.0) < 1.0));
     }
 
     #[test]

@@ -232,8 +232,7 @@ impl Run {
     /// `(time, value)` of the finite cells.
     pub fn points(&self, channel: Channel) -> impl Iterator<Item = (f64, f64)> + '_ {
         let values = self.column(channel).unwrap_or_default().iter().copied();
-        let points = self.time_s.iter().copied().zip(values);
-        points.filter(|(_, value)| value.is_finite())
+        self.time_s.iter().copied().zip(values).filter(|(_, value)| value.is_finite())
     }
 
     /// Every row as a sample with the channels that it has; a missing cell is unset.
@@ -264,8 +263,7 @@ impl Run {
 
 /// NaN is a missing cell; infinity and impossible magnitudes are damage.
 fn refuse_absurd(run: &str, column: &'static str, values: &[f64]) -> Result<(), RunError> {
-    let absurd = values.iter().position(|value| value.abs() > LARGEST);
-    absurd.map_or(Ok(()), |row| {
+    values.iter().position(|value| value.abs() > LARGEST).map_or(Ok(()), |row| {
         Err(RunError::Absurd { run: run.to_owned(), column, row, value: values[row] })
     })
 }

@@ -60,8 +60,7 @@ pub fn fixed(value: f64, decimals: usize) -> String {
     }
     let text = format!("{value:.decimals$}");
     let is_zero = text.chars().all(|c| matches!(c, '-' | '0' | '.'));
-    let sign = usize::from(is_zero && text.starts_with('-'));
-    text[sign..].to_owned()
+    text[usize::from(is_zero && text.starts_with('-'))..].to_owned()
 }
 
 /// At most `digits` significant digits, without zeros behind the point.
@@ -130,8 +129,7 @@ pub fn places(decimals: i32) -> usize {
 /// Power of ten of the first digit after rounding to `digits`; 0 for zero.
 pub fn exponent_of(value: f64, digits: usize) -> i32 {
     let text = format!("{value:.*e}", digits - 1);
-    let exponent = text.rsplit_once('e').map(|(_, exponent)| exponent.parse());
-    exponent.and_then(Result::ok).unwrap_or(0)
+    text.rsplit_once('e').map(|(_, exponent)| exponent.parse()).and_then(Result::ok).unwrap_or(0)
 }
 
 /// `value` rounded to a multiple of `10^place` where `place` is positive; unchanged otherwise.

@@ -24,8 +24,7 @@ fn with_clock(kind: &str, unit: &str, scale: &str) -> String {
 /// Why the servo amplifier's profile with these changes is none.
 fn refused(changes: Changes<'_>) -> String {
     let text = changed(DriveProfile::text("epulse50-dc").unwrap(), changes);
-    let profile = DriveProfile::parse("x", &text).map(drop);
-    profile.unwrap_err().to_string()
+    DriveProfile::parse("x", &text).map(drop).unwrap_err().to_string()
 }
 
 #[test]
@@ -167,8 +166,7 @@ fn one_transaction_a_cycle_is_faster_than_two() {
     // The drive writes first and reads then, at one instant of its own.
     let sample = one.run(speed_ref(700.0)).unwrap();
     assert_eq!(one.written("speed_ref"), Some(700));
-    let applied_s = sample.applied.unwrap().time_s;
-    assert_eq!(applied_s.to_bits(), sample.time_s.to_bits());
+    assert_eq!(sample.applied.unwrap().time_s.to_bits(), sample.time_s.to_bits());
 }
 
 #[test]

@@ -3,8 +3,7 @@
 use super::*;
 
 fn acme() -> String {
-    let page = include_str!("../../../../../docs/drives.md");
-    let (_, rest) = page.split_once("```toml\n").unwrap();
+    let (_, rest) = include_str!("../../../../../docs/drives.md").split_once("```toml\n").unwrap();
     rest.split_once("```").unwrap().0.to_owned()
 }
 
@@ -49,8 +48,7 @@ fn every_kind_of_identity_is_answered_by_the_emulated_drive() {
         let signal = format!(
             "[[identity]]\nsignal = \"revision\"\n{test}\n\n[signals.revision]\naddress = 40030\ntype = \"u16\"\nquantity = \"{quantity}\"\npoll = \"once\"\n\n{model}",
         );
-        let mut table = Table::of(&acme_with(&[(model, &signal)]), None);
-        if let Err(error) = table.link.identify() {
+        if let Err(error) = Table::of(&acme_with(&[(model, &signal)]), None).link.identify() {
             panic!("{test} {quantity}: {error}");
         }
     }
@@ -61,8 +59,7 @@ fn a_factor_of_the_identity_scales_the_other_signals() {
     let identity = "\n[[identity]]\nsignal = \"speed_scaling\"\nwithin = [500, 2000]\n\n[rates]";
     let mut table = Table::identified("abb-efb", &[("\n[rates]", identity)]);
     assert_eq!(table.link.reading("speed_scaling"), Some(1250.0));
-    let sample = table.drive(speed_ref(900.0), 6.0);
-    let speed = sample.get(Channel::Speed).unwrap();
+    let speed = table.drive(speed_ref(900.0), 6.0).get(Channel::Speed).unwrap();
     let off = speed - drivebench_model::units::rad_s_from_rpm(900.0);
     assert!(off.abs() < 6.0, "{speed}");
 }
@@ -76,8 +73,7 @@ fn an_object_of_the_identity_is_reported_beside_software() {
             "[[identity]]\nobject = 0\ncontains = \"ACME\"\n\n[[identity]]\nobject = 4\ncontains = \"A40\"\n\n[setpoints.control_word]",
         ),
     ]);
-    let mut table = Table::of(&profile, None);
-    let identity = table.link.identify().unwrap();
+    let identity = Table::of(&profile, None).link.identify().unwrap();
     assert_eq!(identity.vendor, "drivebench emulator, ACME");
 }
 
@@ -89,8 +85,7 @@ fn a_drive_at_rest_does_not_show_that_it_runs() {
     assert_contains(&error, "status is 0x0000 after 1 s (expected 0x0004 under mask 0x0004");
     // That of the first wait of the enable command.
     let text = changed(&acme(), &[READY_FIRST]);
-    let mut lines = text.lines();
-    let line = lines.position(|line| line.contains("wait = \"status\", mask"));
+    let line = text.lines().position(|line| line.contains("wait = \"status\", mask"));
     let line = 1 + line.unwrap();
     assert_contains(&error, &format!("line {line} of the profile"));
 }

@@ -34,9 +34,7 @@ impl HiddenKind {
     /// Its values as the study draws them, in the order of the parameters.
     pub(super) fn study(&self, rng: &mut ChaCha8Rng) -> Vec<f64> {
         let mut other_part = None;
-        let parameters = self.parameters.iter();
-        let drawn = parameters.map(|p| p.drawn(rng, &mut other_part));
-        drawn.collect()
+        self.parameters.iter().map(|p| p.drawn(rng, &mut other_part)).collect()
     }
 
     /// What it does inside the motor of paper A with these values.

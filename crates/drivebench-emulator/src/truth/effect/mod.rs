@@ -126,8 +126,7 @@ impl HiddenEffect {
     pub fn new(id: &str, values: &[(&str, f64)]) -> Option<Self> {
         let kind = CATALOGUE.iter().find(|kind| kind.id == id)?;
         let value = |parameter: &Parameter| {
-            let of_key = values.iter().find(|(key, _)| *key == parameter.key);
-            of_key.map(|(_, value)| *value)
+            values.iter().find(|(key, _)| *key == parameter.key).map(|(_, value)| *value)
         };
         let complete: Option<Vec<f64>> = kind.parameters.iter().map(value).collect();
         let values = complete.filter(|complete| complete.len() == values.len())?;
@@ -157,14 +156,12 @@ impl HiddenEffect {
 
     /// Ids that the study of the diagnosis draws, with the names of the host's catalogue that are right for each.
     pub fn studied() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
-        let drawn = CATALOGUE.iter().filter(|kind| kind.is_studied());
-        drawn.map(|kind| (kind.id, kind.names))
+        CATALOGUE.iter().filter(|kind| kind.is_studied()).map(|kind| (kind.id, kind.names))
     }
 
     /// The effect as the study draws it, each value multiplied by `share` of its key.
     pub fn study(id: &str, share: impl Fn(&str) -> f64, rng: &mut ChaCha8Rng) -> Option<Self> {
-        let mut studied = CATALOGUE.iter().filter(|kind| kind.is_studied());
-        let kind = studied.find(|kind| kind.id == id)?;
+        let kind = CATALOGUE.iter().filter(|kind| kind.is_studied()).find(|kind| kind.id == id)?;
         let drawn = kind.parameters.iter().zip(kind.study(rng));
         let values = drawn.map(|(p, value)| share(p.key) * value).collect();
         Some(Self { kind, values })
@@ -177,8 +174,7 @@ impl HiddenEffect {
     /// The true parameters, under the keys of the model file.
     pub fn parameters(&self) -> Vec<TrueParameter> {
         let parameters = self.kind.parameters.iter().zip(&self.values);
-        let told = parameters.map(|(parameter, value)| (parameter.key, *value, parameter.unit));
-        told.collect()
+        parameters.map(|(parameter, value)| (parameter.key, *value, parameter.unit)).collect()
     }
 
     pub fn value(&self, key: &str) -> Option<f64> {
@@ -188,8 +184,7 @@ impl HiddenEffect {
 
     /// The first value that this effect cannot have.
     pub fn refused(&self) -> Option<Refused> {
-        let mut parameters = self.kind.parameters.iter().zip(&self.values);
-        parameters.find_map(|(parameter, value)| {
+        self.kind.parameters.iter().zip(&self.values).find_map(|(parameter, value)| {
             let allowed = parameter.allowed.refuses(*value)?;
             Some((parameter.key, *value, allowed))
         })
@@ -246,8 +241,7 @@ impl HiddenEffect {
 
     /// All mechanisms at work, those of its parts included.
     pub(super) fn mechanisms(&self, site: &Site) -> Vec<Box<dyn Mechanism>> {
-        let parts = self.single(site);
-        parts.iter().filter_map(|part| part.mechanism(site)).collect()
+        self.single(site).iter().filter_map(|part| part.mechanism(site)).collect()
     }
 
     /// One of each in the sizes of the example configuration, for tests.

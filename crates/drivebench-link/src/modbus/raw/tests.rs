@@ -91,8 +91,7 @@ fn with_client(
     let script = move |number: usize, request: &[u8]| {
         let pdu = &request[1..request.len() - 2];
         let parts = answer(pdu, fault(number), abilities, &mut pending);
-        let times = (1..).map(|k| PIECE * k);
-        times.zip(parts).collect()
+        (1..).map(|k| PIECE * k).zip(parts).collect()
     };
     with_script(timeout_ms, script, work)
 }
@@ -347,8 +346,7 @@ fn our_own_drive_is_known_where_its_first_reply_comes_twice() {
         delays.map(|delay| (delay, reply.clone())).collect()
     };
     with_script(300, script, |client| {
-        let identity = client.identify().unwrap();
-        assert_eq!(identity.unwrap().serial_number, "4711");
+        assert_eq!(client.identify().unwrap().unwrap().serial_number, "4711");
     });
 }
 

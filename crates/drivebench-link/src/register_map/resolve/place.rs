@@ -88,8 +88,7 @@ impl Places<'_> {
                 }
                 ((None, None), Some(by)) => (CellTable::Reply(by.command), first_place(by, keys)?),
                 _ => {
-                    let message = "one of field, reply and reply_by is needed";
-                    return Err(("", message.to_owned()));
+                    return Err(("", "one of field, reply and reply_by is needed".to_owned()));
                 }
             };
             return Ok(Location { table, address, layout });
@@ -260,8 +259,7 @@ impl Requests {
             }
         }
         if !link.functions.contains(&3) && !link.functions.contains(&4) {
-            let message = "neither 3 nor 4 is there: nothing can be read";
-            return Err(("functions", message.to_owned()));
+            return Err(("functions", "neither 3 nor 4 is there: nothing can be read".to_owned()));
         }
         let within = |key, value: Option<u16>, most| {
             let value = value.ok_or_else(|| missing(key))?;

@@ -45,8 +45,7 @@ pub(super) fn interned(key: &str, make: impl FnOnce() -> Box<dyn Effect>) -> &'s
     static KNOWN: Mutex<Option<HashMap<String, &'static dyn Effect>>> = Mutex::new(None);
     // A poisoned lock is harmless: entries are inserted complete.
     let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
-    let entry = known.get_or_insert_default().entry(key.to_owned());
-    *entry.or_insert_with(|| Box::leak(make()))
+    *known.get_or_insert_default().entry(key.to_owned()).or_insert_with(|| Box::leak(make()))
 }
 
 /// A text that lives as long as the effect that it belongs to.

@@ -274,8 +274,7 @@ impl Reader<'_> {
             negative ^= sign == '-';
         }
         let power = self.power()?;
-        let zero = Tree::Number(0.0);
-        Ok(if negative { zero.both('-', power) } else { power })
+        Ok(if negative { Tree::Number(0.0).both('-', power) } else { power })
     }
 
     fn power(&mut self) -> Result<Tree, Mistake> {
@@ -382,8 +381,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn names(name: &str) -> Result<usize, String> {
-        let known = ["w", "a"].iter().position(|known| *known == name);
-        known.ok_or_else(|| "w or a".to_owned())
+        ["w", "a"].iter().position(|known| *known == name).ok_or_else(|| "w or a".to_owned())
     }
 
     #[test]

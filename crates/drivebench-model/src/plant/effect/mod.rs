@@ -106,8 +106,7 @@ pub const CATALOGUE: &[&dyn Effect] = &[
 ];
 
 pub fn find(id: &str) -> Option<&'static dyn Effect> {
-    let mut effects = CATALOGUE.iter().copied();
-    effects.find(|effect| effect.card().id == id)
+    CATALOGUE.iter().copied().find(|effect| effect.card().id == id)
 }
 
 /// An equation of the baseline.
@@ -252,8 +251,7 @@ pub trait Effect: Sync {
 
     /// Which parameter gives the effect its size: the first coefficient; of an effect that has none, the first of all.
     fn size_index(&self) -> usize {
-        let mut specs = self.parameters().iter();
-        specs.position(ParameterSpec::is_coefficient).unwrap_or(0)
+        self.parameters().iter().position(ParameterSpec::is_coefficient).unwrap_or(0)
     }
 
     /// `values` in the order of [`Effect::parameters`].

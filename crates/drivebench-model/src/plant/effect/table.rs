@@ -136,8 +136,7 @@ fn list(settings: &toml::Table, key: &str) -> Result<Option<Vec<f64>>, Definitio
         let message = format!("{key} is a {}, expected a list", value.type_str());
         DefinitionError::new(key, message, "a list of numbers, as [-100.0, 0.0, 100.0]")
     })?;
-    let numbers = items.iter().map(|item| number_of(key, item));
-    numbers.collect::<Result<_, _>>().map(Some)
+    items.iter().map(|item| number_of(key, item)).collect::<Result<_, _>>().map(Some)
 }
 
 fn check(axis: Axis, knots: &[f64]) -> Result<(), DefinitionError> {
@@ -177,8 +176,7 @@ impl Effect for Table {
         let value = |knot: usize| Tree::Name(SYMBOLS.len() + knot);
         let slope = |knot: usize| {
             let length = self.knots.get(knot + 1)? - self.knots[knot];
-            let rise = value(knot + 1).both('-', value(knot));
-            Some(rise.both('/', Tree::Number(length)))
+            Some(value(knot + 1).both('-', value(knot)).both('/', Tree::Number(length)))
         };
         let axis = Tree::Name(match self.axis {
             Axis::Voltage => 0,

@@ -57,8 +57,7 @@ fn couples(effect: &dyn Effect) -> bool {
 }
 
 fn guesses(effect: &dyn Effect) -> Vec<f64> {
-    let specs = effect.parameters().iter();
-    specs.map(ParameterSpec::guess).collect()
+    effect.parameters().iter().map(ParameterSpec::guess).collect()
 }
 
 /// The guesses with every coefficient at `share` of its scale.
@@ -116,8 +115,7 @@ fn run(effects: Vec<ActiveEffect>) -> [Vec<f64>; 2] {
         ..Scenario::planned("contract", Input::Voltage, Channel::VoltageCmd, events, times)
     };
     let model = Model { effects, ..Model::baseline(Motor::zk_22fc()) };
-    let mut plant = Plant::new(&model, Input::Voltage).unwrap();
-    let found = plant.simulate(&scenario, State::default());
+    let found = Plant::new(&model, Input::Voltage).unwrap().simulate(&scenario, State::default());
     [found.current_a, found.speed_rad_s]
 }
 
@@ -141,8 +139,7 @@ fn ids_and_keys_are_those_that_files_use_and_are_unique() {
         let id = effect.card().id;
         let keys = effect.parameters().iter().map(|spec| spec.key);
         assert_eq!(Some(&keys.collect()), known.get(id), "keys of {id}");
-        let alike = CATALOGUE.iter().filter(|other| other.card().id == id);
-        assert_eq!(alike.count(), 1, "{id}");
+        assert_eq!(CATALOGUE.iter().filter(|other| other.card().id == id).count(), 1, "{id}");
     }
 }
 
@@ -270,8 +267,7 @@ fn effects_that_depend_on_the_angle_are_marked() {
         let own = vec![2.0; terms.states()];
         let turned = Instant { angle: ShaftAngle::at(instant().angle.rad() + 0.1), ..instant() };
         let (here, there) = (terms.sums(&instant(), &own), terms.sums(&turned, &own));
-        let mut pairs = here.all().into_iter().zip(there.all());
-        let depends = pairs.any(|(a, b)| (a - b).abs() > 1e-9);
+        let depends = here.all().into_iter().zip(there.all()).any(|(a, b)| (a - b).abs() > 1e-9);
         assert_eq!(depends, card.needs_angle, "{}", card.id);
     }
 }

@@ -127,8 +127,7 @@ impl Equations {
             (active.effect.card().enters, terms)
         });
         let effects: Vec<_> = effects.collect();
-        let paths = effects.iter().map(|(_, terms)| terms.path());
-        let path = paths.fold(Path::default(), Path::plus);
+        let path = effects.iter().map(|(_, terms)| terms.path()).fold(Path::default(), Path::plus);
         let mut couplings = effects.iter().filter_map(|(_, terms)| terms.coupling());
         let coupling = couplings.next();
         if couplings.next().is_some() {

@@ -142,8 +142,7 @@ impl<const N: usize> Sensors<N> {
     pub fn correct(&mut self, change_a: &[f64; N], change_rad_s: &[f64; N]) {
         let finite = |change: &[f64; N]| change.map(|it| if it.is_finite() { it } else { 0.0 });
         let (change_a, change_rad_s) = (finite(change_a), finite(change_rad_s));
-        let past = self.past.iter_mut();
-        for reading in past.chain([&mut self.delayed, &mut self.filtered]) {
+        for reading in self.past.iter_mut().chain([&mut self.delayed, &mut self.filtered]) {
             for k in 0..N {
                 reading.current_a[k] += change_a[k];
                 reading.speed_rad_s[k] += change_rad_s[k];

@@ -27,8 +27,7 @@ pub(super) fn model(effects: Effects<'_>) -> Model {
 }
 
 pub(super) fn simulate(model: &Model, scenario: &Scenario) -> Trajectory {
-    let mut plant = Plant::new(model, scenario.input).unwrap();
-    plant.simulate(scenario, State::default())
+    Plant::new(model, scenario.input).unwrap().simulate(scenario, State::default())
 }
 
 /// The motor of paper A with these effects under these voltages, from rest.
@@ -155,8 +154,7 @@ fn sampling_more_often_changes_nothing() {
 fn heating_raises_the_resistance_as_its_state_says() {
     // Locked (current below breakaway): x' = i^2 - x/tau with i nearly constant.
     let heated = [("winding_heating", &[0.05, 5.0][..])];
-    let out = simulated(&heated, vec![(0.0, 1.0)], 0.01, 3000);
-    let i = out.current_a[2999];
+    let i = simulated(&heated, vec![(0.0, 1.0)], 0.01, 3000).current_a[2999];
     let heat = 5.0 * i * i * (1.0 - (-30.0f64 / 5.0).exp());
     // The current moved by a few per cent on the way, so the closed form holds to a per mille.
     let off = i * 1.1 * (1.0 + 0.05 * heat) - 1.0;

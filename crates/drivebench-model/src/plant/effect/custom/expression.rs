@@ -23,8 +23,7 @@ impl Expression {
         let names = |name: &str| {
             let variable = VARIABLES.iter().position(|known| *known == name);
             let parameter = parameters.iter().position(|known| *known == name);
-            let index = variable.or(parameter.map(|parameter| PARAMETERS + parameter));
-            index.ok_or_else(|| {
+            variable.or(parameter.map(|parameter| PARAMETERS + parameter)).ok_or_else(|| {
                 let known = [&VARIABLES[..], parameters].concat();
                 let all = [&known[..], &FUNCTIONS].concat();
                 match crate::config_text::nearest(name, all.iter().copied()) {

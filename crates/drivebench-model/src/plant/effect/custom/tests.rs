@@ -72,15 +72,13 @@ fn a_custom_coulomb_friction_holds_the_shaft_as_the_baseline() {
         let mut model = Model::baseline(motor);
         let friction = torque("level*sgn(w)", "[\"level\"]");
         model.effects.push(ActiveEffect::with(friction, &[own]));
-        let mut plant = Plant::new(&model, Input::Voltage).unwrap();
-        plant.simulate(&scenario, State::default())
+        Plant::new(&model, Input::Voltage).unwrap().simulate(&scenario, State::default())
     };
     let (baseline, own) = (run(0.3, 0.0), run(0.0, 0.3));
     for (a, b) in baseline.speed_rad_s.iter().zip(&own.speed_rad_s) {
         assert!((a - b).abs() < 1e-9, "{a} {b}");
     }
-    let mut at_rest = own.speed_rad_s[..1000].iter();
-    assert!(at_rest.all(|speed| speed.abs() < 1e-12));
+    assert!(own.speed_rad_s[..1000].iter().all(|speed| speed.abs() < 1e-12));
     assert!(own.speed_rad_s[1900] > 10.0);
 }
 

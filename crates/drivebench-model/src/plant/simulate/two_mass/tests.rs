@@ -189,8 +189,7 @@ fn irregular_sampling_changes_nothing() {
         let mut irregular = scenario(reversals(), 0.001, 2202);
         // Between two samples of the regular run one more, at an instant of its own.
         let between = |k: usize| 1e-3 * (k as f64 + 0.1 + 0.8 * (k as f64 * 0.618).fract());
-        let times = (0..1101).flat_map(|k| [k as f64 * 1e-3, between(k)]);
-        irregular.sample_time_s = times.collect();
+        irregular.sample_time_s = (0..1101).flat_map(|k| [k as f64 * 1e-3, between(k)]).collect();
         let (id, own) = coupled(values);
         let out = simulate(&model(&[(id, &own)]), &irregular);
         let same = Trajectory {
