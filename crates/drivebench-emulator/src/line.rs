@@ -66,8 +66,7 @@ impl FarEnd for DriveOnLine {
         self.line_faults.silence();
         // Bytes without a request are computed 0.25 s ahead, until the next call.
         let ahead_s = now_s + 0.25;
-        let drive = self.drive.as_mut();
-        sent.extend(self.line_faults.unrequested(now_s, ahead_s, drive));
+        sent.extend(self.line_faults.unrequested(now_s, ahead_s, self.drive.as_mut()));
         sent
     }
 }
@@ -93,8 +92,7 @@ impl DriveOnLine {
     fn send(&mut self, end_s: f64, answers: &mut Vec<Vec<u8>>, sent: &mut Vec<(f64, Vec<u8>)>) {
         for answer in answers.drain(..) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            let ran_s = self.drive.ran_s();
-            sent.extend(self.line_faults.reply(answer, end_s, due_s, ran_s));
+            sent.extend(self.line_faults.reply(answer, end_s, due_s, self.drive.ran_s()));
         }
     }
 }

@@ -236,8 +236,7 @@ impl LineFaults {
                         let write = drive.foreign_write();
                         let reply = drive.modbus(&write);
                         out.push((at_s, rtu::encode_frame(self.unit, &write).to_vec()));
-                        let reply = rtu::encode_frame(self.unit, &reply).to_vec();
-                        out.push((reply_s, reply));
+                        out.push((reply_s, rtu::encode_frame(self.unit, &reply).to_vec()));
                     }
                 }
             }
@@ -313,8 +312,7 @@ impl Responder for FaultyLine<'_> {
         if self.is_blocked() {
             return Vec::new();
         }
-        let ran_s = self.drive.ran_s();
-        match (request, self.faults.refusal(self.now_s, ran_s)) {
+        match (request, self.faults.refusal(self.now_s, self.drive.ran_s())) {
             ([function, ..], Some(code)) => vec![function | 0x80, code],
             _ => self.drive.modbus(request),
         }

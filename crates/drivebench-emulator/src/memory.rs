@@ -38,8 +38,7 @@ impl Latency {
         for _ in 0..21 {
             request_s = pace.arrival_s(0.0);
         }
-        let delivered_s = pace.delivery_s(request_s, 37);
-        Self { request_s, reply_s: delivered_s - request_s }
+        Self { request_s, reply_s: pace.delivery_s(request_s, 37) - request_s }
     }
 }
 
@@ -146,8 +145,7 @@ impl DriveLink for MemoryLink {
         )?;
         let telemetry = Telemetry::from_registers(&reply);
         let received_s = sent_s + self.latency.request_s + self.latency.reply_s;
-        let span = Span::new(sent_s, received_s);
-        Ok(self.timeline.sample(&telemetry, command.seq, span))
+        Ok(self.timeline.sample(&telemetry, command.seq, Span::new(sent_s, received_s)))
     }
 
     fn stop(&mut self) -> Result<()> {

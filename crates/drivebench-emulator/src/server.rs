@@ -102,8 +102,7 @@ pub fn ready_line(
     guise: Option<&Guise>,
 ) -> String {
     let (unit, baud, profile) = guise.map_or((UNIT, config.line.baud, "own"), |guise| {
-        let id = guise.map.device.id.as_str();
-        (guise.unit, guise.line.baud, id)
+        (guise.unit, guise.line.baud, guise.map.device.id.as_str())
     });
     format!("ready {link} {address} unit={unit} baud={baud} profile={profile}")
 }
@@ -355,8 +354,7 @@ impl<'a> Server<'a> {
             if hosts.len() < 8
                 && let Some(port) = ports.accept()
             {
-                let session = Session::new(Codec::new(link, unit), pace.clone(), &far);
-                hosts.push((port, session));
+                hosts.push((port, Session::new(Codec::new(link, unit), pace.clone(), &far)));
             }
             if hosts.is_empty() {
                 // Between two looks for a host on the network.

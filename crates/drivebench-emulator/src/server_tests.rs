@@ -170,8 +170,7 @@ fn a_command_written_just_before_the_close_still_counts() {
     let server = pty(Protocol::ModbusRtu, 115_200);
     let mut host = open(&server);
     exchange(&mut host, volts(1, 24.0));
-    let stop = DriveCommand::new(2, Control::Stop);
-    host.write_all(&rtu_frame(&exchange_pdu(stop))).unwrap();
+    host.write_all(&rtu_frame(&exchange_pdu(DriveCommand::new(2, Control::Stop)))).unwrap();
     drop(host);
     wait_until(|| server.sessions() >= 2);
     let mut host = open(&server);
@@ -208,8 +207,7 @@ fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
 }
 
 async fn connected(server: &ServerHandle) -> tokio_modbus::client::Context {
-    let address = server.address().parse().unwrap();
-    prelude::tcp::connect_slave(address, Slave(1)).await.unwrap()
+    prelude::tcp::connect_slave(server.address().parse().unwrap(), Slave(1)).await.unwrap()
 }
 
 #[test]
@@ -221,8 +219,7 @@ fn of_several_tcp_hosts_one_commands_and_all_read() {
     runtime.block_on(async {
         let (mut first, mut second) = (connected(&server).await, connected(&server).await);
         let [one, two] = [5, 6].map(|seq| volts(seq, 1.0).to_registers());
-        let write = first.write_multiple_registers(32, &one);
-        let written = tokio::time::timeout(within, write).await;
+        let written = tokio::time::timeout(within, first.write_multiple_registers(32, &one)).await;
         written.unwrap().unwrap().unwrap();
         // A reader is served beside it; a second writer is refused.
         let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();

@@ -197,8 +197,7 @@ impl Session {
     fn send(&mut self, end_s: f64, far: &mut FarEnd<'_>) {
         for answer in std::mem::take(&mut self.answers) {
             let due_s = self.pace.delivery_s(end_s, answer.len());
-            let ran_s = far.drive.ran_s();
-            for (due, bytes) in far.line_faults.reply(answer, end_s, due_s, ran_s) {
+            for (due, bytes) in far.line_faults.reply(answer, end_s, due_s, far.drive.ran_s()) {
                 self.under_way(due, bytes);
             }
         }

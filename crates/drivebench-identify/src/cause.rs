@@ -52,8 +52,7 @@ impl CramerRaoBound {
         } else {
             start::complete(given, scenario).ok()?
         };
-        let noise = or_roughness(fit.noise, scenario);
-        let problem = FreeRun::new(&motor, scenario, noise).ok()?;
+        let problem = FreeRun::new(&motor, scenario, or_roughness(fit.noise, scenario)).ok()?;
         if problem.why_still(&fit.minimum.residual).is_some() {
             return None;
         }
@@ -168,8 +167,7 @@ mod tests {
     const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
 
     fn brushed(events: Vec<(f64, f64)>, period_s: f64, seconds: f64) -> Run {
-        let model = Model::baseline(motor(&BRUSHED));
-        recorded(&record(&model, events, period_s, seconds, 2))
+        recorded(&record(&Model::baseline(motor(&BRUSHED)), events, period_s, seconds, 2))
     }
 
     fn found(run: &Run) -> Vec<ParameterEstimate> {

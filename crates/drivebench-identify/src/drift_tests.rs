@@ -147,8 +147,7 @@ fn near_zero_a_change_has_its_unit_and_given_values_are_open() {
     assert_eq!(lost.in_question().count(), 0);
     assert!(lost.lost().map(|one| one.key.as_str()).eq([FRICTION]));
     for drift in [drift, nothing, lost] {
-        let open = (drift.largest_percent(), drift.open_percent());
-        assert_eq!(open, (None, None));
+        assert_eq!((drift.largest_percent(), drift.open_percent()), (None, None));
     }
 }
 

@@ -136,8 +136,7 @@ impl Misfit {
         if !is_noise && let Some(change) = change_by_a_form(fit, scenario, &bread) {
             variances += change.component_mul(&change);
         }
-        let slopes = problem.slopes(&minimum.x);
-        let free = fit.free.iter().zip(slopes).zip(variances.iter());
+        let free = fit.free.iter().zip(problem.slopes(&minimum.x)).zip(variances.iter());
         let deviations =
             free.map(|((slot, slope), variance)| (slot.key(), slope.abs() * variance.sqrt()));
         Ok((Self(all), deviations.collect()))

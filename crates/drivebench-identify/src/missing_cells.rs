@@ -86,8 +86,7 @@ mod tests {
     use drivebench_model::plant::{Model, Motor};
 
     fn run() -> Scenario {
-        let model = Model::baseline(Motor::zk_22fc());
-        record(&model, vec![(0.0, 0.0), (0.1, 30.0)], 0.002, 0.6, 3)
+        record(&Model::baseline(Motor::zk_22fc()), vec![(0.0, 0.0), (0.1, 30.0)], 0.002, 0.6, 3)
     }
 
     #[test]

@@ -144,8 +144,7 @@ impl Online {
             let Some([time_s, current, speed]) = self.middle([time_s, current, speed]) else {
                 return;
             };
-            let late = self.late.as_deref_mut();
-            for scheme_3 in std::iter::once(&mut self.scheme_3).chain(late) {
+            for scheme_3 in std::iter::once(&mut self.scheme_3).chain(self.late.as_deref_mut()) {
                 scheme_3.set_limited(sample.limited);
                 scheme_3.set_half_width(half_width_s);
                 scheme_3.push(time_s, current, speed);
@@ -175,8 +174,7 @@ impl Online {
     pub fn estimates(&self) -> Vec<ParameterEstimate> {
         let mut estimates = self.scheme_3.estimates();
         if let Some(late) = &self.late {
-            let period_s = self.scheme_3.period_s();
-            stamps::widen(&mut estimates, &late.estimates(), period_s);
+            stamps::widen(&mut estimates, &late.estimates(), self.scheme_3.period_s());
             stamps::refuse(&mut estimates, self.half_width_s);
         }
         estimates

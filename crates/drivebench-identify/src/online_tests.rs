@@ -54,10 +54,8 @@ fn without_noise_every_parameter_is_found() {
         ("small", SMALL, 0.2, 0.001, 0.02),
     ] {
         let events = testing::steps(0.3037, 6.0, scale, 0.0613);
-        let model = Model::baseline(motor(&truth));
-        let bench = Record::of(&model, events, every(period_s, 6.0));
-        let online = run(&bench, OnlineConfig::default());
-        finds(&format!("{name} {period_s}"), &online, &truth, within);
+        let bench = Record::of(&Model::baseline(motor(&truth)), events, every(period_s, 6.0));
+        finds(&format!("{name} {period_s}"), &run(&bench, OnlineConfig::default()), &truth, within);
     }
 }
 
@@ -193,8 +191,7 @@ fn at_a_limit_of_the_drive_nothing_is_learnt_or_settled() {
             assert_eq!(online.frozen().since_s.is_some(), sample.limited);
             if sample.limited && time_s > limited.start {
                 let now = online.estimates();
-                let settled = now.iter().any(|e| e.verdict == Verdict::Settled);
-                assert!(!settled, "{time_s} {now:?}");
+                assert!(!now.iter().any(|e| e.verdict == Verdict::Settled), "{time_s} {now:?}");
             }
             if (2.95..2.96).contains(&time_s) {
                 before = Some(online.estimates()[0].verdict);

@@ -159,8 +159,7 @@ mod tests {
 
     fn run_with(value: f64, std: f64, doubt: Option<&str>) -> Vec<ParameterEstimate> {
         let doubt = doubt.map(|doubt| (Reason::ModelMisses, doubt.to_owned()));
-        let found = ParameterEstimate::found("resistance_ohm", "ohm", value, std, doubt);
-        vec![found]
+        vec![ParameterEstimate::found("resistance_ohm", "ohm", value, std, doubt)]
     }
 
     fn run(value: f64, std: f64) -> Vec<ParameterEstimate> {
@@ -184,8 +183,7 @@ mod tests {
         assert!((estimate.std.unwrap() - 0.002 / 3f64.sqrt()).abs() < 1e-12);
         assert_eq!((estimate.verdict, estimate.reason), (Verdict::Settled, None));
         assert!((run_to_run_std.unwrap() - 0.001_527_5).abs() < 1e-6);
-        let runs = [run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)];
-        let estimate = combined(&runs, &[]).estimate;
+        let estimate = combined(&[run(1.0, 0.001), run(1.1, 0.001), run(1.2, 0.001)], &[]).estimate;
         assert_eq!(estimate.verdict, Verdict::Searching);
         assert!(estimate.reason.unwrap().contains("run to run"));
         assert!((estimate.std.unwrap() - 0.1 / 3f64.sqrt()).abs() < 1e-12);
@@ -220,8 +218,7 @@ mod tests {
         let reason = one.estimate.reason.as_deref();
         assert_eq!((one.runs, reason), (2, Some("observable in 2 of 3 runs")));
         let none = combined(&[open(), open()], &[]);
-        let verdict = none.estimate.verdict;
-        assert_eq!((verdict, none.runs), (Verdict::NotObservable, 0));
+        assert_eq!((none.estimate.verdict, none.runs), (Verdict::NotObservable, 0));
     }
 
     #[test]

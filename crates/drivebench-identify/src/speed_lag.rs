@@ -105,8 +105,7 @@ pub fn is_supported(run: &Run, instead: Sensors) -> Option<bool> {
     let error = |run: &Run| {
         let scenario = Scenario::from_run(run).ok().filter(|own| own.input == Input::Voltage)?;
         let start = start::complete(&Model::baseline(Motor::new("lag")), &scenario).ok()?;
-        let noise = NoiseFloor::from_spread(&scenario);
-        Some(output_error::fit(&[start], &scenario, &noise).ok()?.nrms)
+        Some(output_error::fit(&[start], &scenario, &NoiseFloor::from_spread(&scenario)).ok()?.nrms)
     };
     let mut other = run.clone();
     other.set_sensors(instead);

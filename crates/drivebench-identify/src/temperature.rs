@@ -99,8 +99,7 @@ mod tests {
     fn run(temperature: Option<fn(f64) -> f64>) -> (Run, Scenario) {
         let times = every(0.1, 10.0);
         let columns = [Channel::Voltage, Channel::Current, Channel::Speed];
-        let columns = columns.map(|channel| (channel, times.clone()));
-        let mut run = run_of(times.clone(), columns);
+        let mut run = run_of(times.clone(), columns.map(|channel| (channel, times.clone())));
         if let Some(temperature) = temperature {
             let values = times.iter().map(|t| temperature(*t)).collect();
             put(&mut run, Channel::Temperature, values);

@@ -205,8 +205,7 @@ impl Record {
             let values = noisy(values, sigma, &mut random);
             values.iter().map(|x| (x / quantum).round() * quantum).collect()
         };
-        let current = read(&self.current, CURRENT_NOISE_A, 1e-3);
-        [current, read(&self.speed, SPEED_NOISE_RAD_S, 0.01)]
+        [read(&self.current, CURRENT_NOISE_A, 1e-3), read(&self.speed, SPEED_NOISE_RAD_S, 0.01)]
     }
 
     /// The run of a seed, without one as simulated; commands on rows of their own.

@@ -224,8 +224,7 @@ impl System {
         let (mut gain, mut rate_gain) = (0.0, 0.0);
         let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
         let (times, steps_s) = (&scenario.sample_time_s, &scenario.current_steps_s);
-        let begins = begins(times, &scenario.speed_rad_s, half, steps_s);
-        for begin in begins {
+        for begin in begins(times, &scenario.speed_rad_s, half, steps_s) {
             let end = begin + 2 * half;
             // No window with a gap of half of its length.
             let times = &scenario.sample_time_s[begin..=end];

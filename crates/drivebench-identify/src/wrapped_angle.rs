@@ -159,8 +159,7 @@ mod tests {
     fn missing_cells_do_not_lose_a_turn() {
         let hole = |row, angle| if row % 9 == 7 { f64::NAN } else { angle };
         let turns = run(|t| motion(t).rem_euclid(TAU), 0.001);
-        let holes = changed(&turns, Channel::Angle, hole);
-        let completed = complete(&holes).unwrap();
+        let completed = complete(&changed(&turns, Channel::Angle, hole)).unwrap();
         assert!(largest_error(&completed, 0.0) < 1e-9);
         assert!(completed.column(Channel::Angle).unwrap()[7].is_nan());
     }

@@ -119,8 +119,7 @@ impl Device for Numbering {
                 vec![(usual, [garbage, reply].concat())]
             }
             6 => {
-                let byte = self.byte();
-                reply.insert(at, byte);
+                reply.insert(at, self.byte());
                 vec![(usual, reply)]
             }
             _ => {

@@ -178,8 +178,7 @@ impl<L: Language> LineBus<L> {
             Resync::Length => Method::Length,
             Resync::Tid | Resync::None => Method::Silence,
         };
-        let place = place.map(|block| (block.read, block.read.count));
-        exchange.proof.set_policy(method, place);
+        exchange.proof.set_policy(method, place.map(|block| (block.read, block.read.count)));
         Self {
             language,
             exchange,

@@ -199,8 +199,7 @@ fn open_exchange(
                     .map_err(|error| serial_error(path, &error))?;
                 let kind = FrameKind::serial(settings.protocol);
                 let timing = LineTiming::serial(settings, baud, kind.needs_gaps());
-                let tap = tap.map(|tap| tap.of(kind));
-                (Box::new(port), kind, unit, timing, tap)
+                (Box::new(port), kind, unit, timing, tap.map(|tap| tap.of(kind)))
             }
             Target::Tcp { host, port, unit } => {
                 let stream = connect(&name, host, *port)?;

@@ -195,8 +195,7 @@ impl<B: CellBus> ProfiledLink<B> {
                 put_s = is_taken.then(|| (self.bus.now_s(), points.carried));
                 held_back(&mut refused, put)?;
             }
-            let refreshed = self.points.refresh(&mut self.bus, period_s);
-            held_back(&mut refused, refreshed)?;
+            held_back(&mut refused, self.points.refresh(&mut self.bus, period_s))?;
             if self.points.kicked_s > self.kicked_s {
                 self.kicked_s = self.points.kicked_s;
             }
@@ -478,8 +477,7 @@ impl<B: CellBus> ProfiledLink<B> {
         if self.reported("fault") == Some(true) {
             let _ = self.readings.read_now(&mut self.bus, Quantity::FaultCode);
         }
-        let now_s = self.bus.now_s();
-        let reason = reason + &self.in_fault_text(now_s);
+        let reason = reason + &self.in_fault_text(self.bus.now_s());
         let error = self.broken_off(sequence.command, (step, sequence.steps()), reason);
         self.latched = true;
         let can_coast = !self.map.commands.coast.is_empty();

@@ -215,8 +215,7 @@ mod tests {
         let root = machine.path();
         let target: Target = "/dev/ttyUSB3".parse().unwrap();
         let anchor = Anchor::of(root, &target);
-        let by_id = "/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00";
-        assert_eq!(anchor.target().to_string(), by_id);
+        assert_eq!(anchor.target().to_string(), "/dev/serial/by-id/usb-FTDI_FT232R_A50285BI-if00");
         assert_eq!(anchor.stranger(root), None);
         // The same plug, seen as another adapter.
         std::fs::write(root.join("sys/devices/usb1/1-2/serial"), "B0\n").unwrap();

@@ -296,8 +296,7 @@ mod tests {
             let is_late = k % 3 != 0;
             let late_s = f64::from(is_late) * f64::from(k % 20) * 1e-3;
             let sampled_s = sent_s + 0.002;
-            let span = Span::new(sent_s, sent_s + 0.004 + late_s);
-            map.observe(span, sampled_s * 1.000_05 - 7.0);
+            map.observe(Span::new(sent_s, sent_s + 0.004 + late_s), sampled_s * 1.000_05 - 7.0);
         }
         let drift = map.offset_s(30.0).unwrap() - map.offset_s(0.0).unwrap();
         assert!((drift / 30.0 - 50e-6).abs() < 2e-6);

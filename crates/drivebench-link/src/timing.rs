@@ -169,8 +169,7 @@ mod tests {
         let settings = DriveProfile::named("own").unwrap().link;
         let timing = LineTiming::serial(&settings, 115_200, true);
         let expected = 58.0 * 10.0 / 115_200.0 + 2.0 * 0.001_75;
-        let cycle = timing.shortest_cycle_s(21, 37).unwrap();
-        assert!((cycle - expected).abs() < 1e-12);
+        assert!((timing.shortest_cycle_s(21, 37).unwrap() - expected).abs() < 1e-12);
         let slow = LineTiming::serial(&settings, 9600, true);
         assert!((slow.gap().as_secs_f64() - 3.5 * 10.0 / 9600.0).abs() < 1e-8);
         assert_eq!(LineTiming::network(&settings).shortest_cycle_s(21, 37), None);

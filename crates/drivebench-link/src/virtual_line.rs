@@ -347,6 +347,5 @@ pub fn bus_to<F: FarEnd + 'static>(
     settings: &LinkSettings,
     far: &Arc<Mutex<F>>,
 ) -> impl CellBus + use<F> {
-    let exchange = exchange_with(FrameKind::Rtu, settings, far);
-    modbus_link(exchange, settings.unit).into_bus(map, false)
+    modbus_link(exchange_with(FrameKind::Rtu, settings, far), settings.unit).into_bus(map, false)
 }

@@ -21,15 +21,12 @@ impl RegisterBank for SoftDrive {
         }
         if usize::from(address) < usize::from(TELEMETRY_ADDRESS) + TELEMETRY_WORDS {
             let unread = self.applied_unread;
-            let telemetry = self.telemetry().to_registers();
-            copy(TELEMETRY_ADDRESS, &telemetry, address, out);
+            copy(TELEMETRY_ADDRESS, &self.telemetry().to_registers(), address, out);
             // Reading the status word clears its mark of an applied command.
             self.applied_unread = unread && address > r::STATUS.address;
         }
-        let command = self.command_block.registers();
-        copy(COMMAND_ADDRESS, &command, address, out);
-        let identity = self.identity().to_registers();
-        copy(IDENTITY_ADDRESS, &identity, address, out);
+        copy(COMMAND_ADDRESS, &self.command_block.registers(), address, out);
+        copy(IDENTITY_ADDRESS, &self.identity().to_registers(), address, out);
         if self.has(FaultKind::OtherVersion) {
             // A protocol version that does not exist yet.
             copy(

@@ -77,8 +77,7 @@ fn the_state_machine_is_the_table() {
         assert_eq!(drive.state(), to, "{from:?} {control:?}");
         let energised = drive.telemetry().voltage_cmd_v.abs() > 0.0;
         assert_eq!(energised, to == Running, "{from:?} {control:?}");
-        let seq = drive.telemetry().seq;
-        assert_eq!(seq, 2, "echoed even where it has no effect");
+        assert_eq!(drive.telemetry().seq, 2, "echoed even where it has no effect");
     }
 }
 
@@ -235,8 +234,7 @@ fn registers_refuse_what_the_table_forbids() {
     let mut drive = drive();
     let refused = |result: Result<(), Exception>, expected| assert_eq!(result, Err(expected));
     for (address, count) in [(16, 1), (0, 17), (250, 100)] {
-        let read = drive.read(address, &mut vec![0; count]);
-        refused(read, Exception::IllegalAddress);
+        refused(drive.read(address, &mut vec![0; count]), Exception::IllegalAddress);
     }
     for (address, words) in [(0, &[1][..]), (32, &[1, 3, 0, 0, 0]), (34, &[1]), (64, &[0])] {
         refused(drive.write(address, words), Exception::IllegalAddress);
@@ -275,8 +273,7 @@ fn registers_show_the_drive() {
 fn a_capture_begins_with_the_next_command() {
     let mut drive = drive();
     drive.advance_to(0.1);
-    let arm = [CaptureControl::Arm.code()];
-    drive.write(r::CAPTURE_CONTROL.address, &arm).unwrap();
+    drive.write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()]).unwrap();
     drive.advance_to(0.2);
     hold(&mut drive, Control::Voltage(10.0), 0.5);
     let mut head = [0; 7];

@@ -20,8 +20,7 @@ impl ForeignDrive {
                 match test {
                     IdentityTest::OneOf(allowed) if allowed.contains(&(shown & mask)) => shown,
                     IdentityTest::OneOf(allowed) => {
-                        let first = allowed.first().copied().unwrap_or_default();
-                        (shown & !mask) | (first & mask)
+                        (shown & !mask) | (allowed.first().copied().unwrap_or_default() & mask)
                     }
                     IdentityTest::Within([low, high]) => {
                         let scale = numbers.scale * self.factor(&numbers.scale_by);

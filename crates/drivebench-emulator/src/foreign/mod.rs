@@ -454,8 +454,7 @@ impl ForeignDrive {
             self.kick(KickedBy::Write);
         }
         for point in &map.set_points {
-            let address = point.location.address;
-            if !(first..first.saturating_add(count)).contains(&address) {
+            if !(first..first.saturating_add(count)).contains(&point.location.address) {
                 continue;
             }
             self.kick(KickedBy::Command);
@@ -471,8 +470,7 @@ impl ForeignDrive {
             if self.sequence.take(&map, &point.name, number, self.fault.is_some()) {
                 self.fault = None;
                 self.seq = self.seq.wrapping_add(1);
-                let reset = DriveCommand::new(self.seq, Control::ResetFault);
-                self.soft.command(reset);
+                self.soft.command(DriveCommand::new(self.seq, Control::ResetFault));
             }
         }
     }

@@ -294,8 +294,7 @@ impl ForeignDrive {
         }
         let length = (count(&body) + 2).to_le_bytes();
         let packet = [&[0xFF, 0xFF, 0xFD, 0, *id][..], &length, &body].concat();
-        let crc = crc16(0x8005, &packet).to_le_bytes();
-        Some([&packet[..], &crc].concat())
+        Some([&packet[..], &crc16(0x8005, &packet).to_le_bytes()].concat())
     }
 
     /// Writes a control table; the error number.
@@ -413,8 +412,7 @@ mod tests {
         }
         let write = |address: u8, value: u8| {
             let body = [&[0xFF, 0xFF, 0xFD, 0, 1, 6, 0, 3][..], &[address, 0, value]].concat();
-            let crc = crc16(0x8005, &body).to_le_bytes();
-            [&body[..], &crc].concat()
+            [&body[..], &crc16(0x8005, &body).to_le_bytes()].concat()
         };
         for (address, value) in [(64, 0), (98, 0), (11, 16), (98, 10), (64, 1)] {
             assert_eq!(answers(&mut servo, &write(address, value))[0][8], 0, "{address}");

@@ -37,8 +37,7 @@ fn changed(text: &str, changes: Changes<'_>) -> String {
 }
 
 fn profile_with(name: &str, changes: Changes<'_>) -> DriveProfile {
-    let text = changed(DriveProfile::text(name).unwrap(), changes);
-    DriveProfile::parse(name, &text).unwrap()
+    DriveProfile::parse(name, &changed(DriveProfile::text(name).unwrap(), changes)).unwrap()
 }
 
 impl Table {
@@ -165,8 +164,7 @@ impl Table {
     /// The last words written to the servo amplifier are speed zero and disable.
     #[track_caller]
     fn assert_stop_written(&mut self) {
-        let written = ["speed_ref", "enable_word"].map(|point| self.written(point));
-        assert_eq!(written, [Some(0); 2]);
+        assert_eq!(["speed_ref", "enable_word"].map(|point| self.written(point)), [Some(0); 2]);
     }
 
     #[track_caller]

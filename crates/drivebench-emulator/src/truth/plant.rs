@@ -268,8 +268,7 @@ impl Plant {
     fn torque_at_rest(&self, state: &State) -> (f64, f64) {
         let at = self.moment(state);
         let (load, friction) = self.loads(&at);
-        let coupled = self.coupling_torque(state);
-        (at.torque_n_m - load - coupled, (self.coulomb() + friction).max(0.0))
+        (at.torque_n_m - load - self.coupling_torque(state), (self.coulomb() + friction).max(0.0))
     }
 
     /// At rest the friction balances the drive torque up to the breakaway level. Returns the time used, s.

@@ -163,8 +163,7 @@ fn halving_the_step_shows_the_order_through_stick_and_reversal() {
 #[test]
 fn drag_lowers_the_speed_by_its_torque() {
     let value = ("viscous_n_m_s_per_rad", 4e-4);
-    let viscous = [hidden("viscous_friction", &[value])];
-    let plant = after(&viscous, 110.0, 3.0);
+    let plant = after(&[hidden("viscous_friction", &[value])], 110.0, 3.0);
     let w: f64 = plant.speed_rad_s();
     let drag = 4e-4 * 586.4 * (w / 586.4).asinh();
     assert!((0.3538 * plant.current_a() - 0.455 - drag).abs() < 1e-9);
@@ -174,8 +173,7 @@ fn drag_lowers_the_speed_by_its_torque() {
 fn the_voltage_for_a_current_brings_that_current() {
     let mut plant = Plant::new(zk_22fc(), &[]);
     for _ in 0..2000 {
-        let volts = plant.voltage_for_current(8.0, H);
-        plant.advance(Terminals::Voltage(volts), H);
+        plant.advance(Terminals::Voltage(plant.voltage_for_current(8.0, H)), H);
         assert!((plant.current_a() - 8.0).abs() < 1e-3);
     }
 }

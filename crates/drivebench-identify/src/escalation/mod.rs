@@ -283,8 +283,7 @@ impl Escalation {
         if wanted_v > 0.9 * safe_v {
             wanted_v = safe_v;
         }
-        let look = stage::look(bounds, StageKind::Feel, wanted_v, self.allows_more());
-        (Next::Run(look), line)
+        (Next::Run(stage::look(bounds, StageKind::Feel, wanted_v, self.allows_more())), line)
     }
 
     fn broke_away(&mut self, scenario: &Scenario, observation: &Observation) -> (Next, String) {
@@ -305,8 +304,7 @@ impl Escalation {
             return (not_identified(reason), line);
         }
         let reason = "a back-EMF is detected, a speed not yet".to_owned();
-        let stage = stage::look(bounds, StageKind::BreakAway, wanted_v, reason);
-        (Next::Run(stage), line)
+        (Next::Run(stage::look(bounds, StageKind::BreakAway, wanted_v, reason)), line)
     }
 
     fn turned(

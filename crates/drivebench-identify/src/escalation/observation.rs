@@ -339,8 +339,7 @@ impl Turned {
     pub(super) fn voltage_at(&self, speed_rad_s: f64) -> Option<f64> {
         let share = relative(&self.parameters, MotorKey::BackEmf)?;
         let value = self.motor.get(MotorKey::BackEmf)?;
-        let resistance = self.motor.get(MotorKey::Resistance)?;
-        let friction_v = self.friction_a().unwrap_or(0.0) * resistance;
+        let friction_v = self.friction_a().unwrap_or(0.0) * self.motor.get(MotorKey::Resistance)?;
         (share < 0.3).then_some(value * (1.0 - 3.0 * share).max(0.5) * speed_rad_s + friction_v)
     }
 

@@ -27,8 +27,7 @@ fn answer(stage: &Stage, motor: &Motor, distort: impl Fn(&mut Run)) -> Run {
     };
     let events: Vec<(f64, f64)> = (0..whole(program.duration_s() / 0.01)).map(at).collect();
     let volts = events.iter().map(|event| event.1).collect();
-    let model = Model::baseline(motor.clone());
-    let scenario = record(&model, events, 0.01, program.duration_s(), 7);
+    let scenario = record(&Model::baseline(motor.clone()), events, 0.01, program.duration_s(), 7);
     let columns = [
         (Channel::VoltageCmd, volts),
         (Channel::Current, scenario.current_a),

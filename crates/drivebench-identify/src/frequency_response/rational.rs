@@ -207,8 +207,7 @@ impl Task {
                 };
                 put(layout.denominator(), -row.measured);
                 put(layout.numerator(row.output), row.input * late);
-                let transient = layout.transient(row.stretch, row.output);
-                put(transient, Complex::new(1.0, 0.0));
+                put(layout.transient(row.stretch, row.output), Complex::new(1.0, 0.0));
                 let leading = powers(row.s).nth(layout.order).unwrap_or_default();
                 let known = row.measured * leading * weight;
                 right[2 * number] = known.re;

@@ -12,8 +12,7 @@ const COUPLING: [f64; 4] = [22.0, 0.5, 0.02, 0.5];
 fn model(coupling: Option<[f64; 4]>) -> Model {
     let mut model = Model::baseline(Motor::zk_22fc());
     if let Some(values) = coupling {
-        let coupling = effect::find("elastic_coupling").unwrap();
-        model.effects.push(ActiveEffect::with(coupling, &values));
+        model.effects.push(ActiveEffect::with(effect::find("elastic_coupling").unwrap(), &values));
     }
     model
 }
@@ -112,8 +111,7 @@ fn resonance_and_anti_resonance_are_found_with_their_damping() {
         let mechanics = mode(resonance, Pathway::CurrentToSpeed, false);
         assert_mode(&mechanics, hertz, damping);
         let held = (1.0 - ratio).sqrt();
-        let anti = mode(ModeKind::AntiResonance, voltage, false);
-        assert_mode(&anti, hertz * held, damping * held);
+        assert_mode(&mode(ModeKind::AntiResonance, voltage, false), hertz * held, damping * held);
         // Behind the winding: the poles of the whole.
         let eigenvalues = matrix(coupling).complex_eigenvalues();
         let poles = eigenvalues.iter().filter(|p| p.im > 1.0 && -p.re < 0.5 * p.norm());
@@ -229,8 +227,7 @@ fn runs_of_one_machine_agree_and_those_of_two_are_cautioned() {
     for (segment, seed) in [(prbs(20.0), 1), (chirp(20.0), 2)] {
         let run = |model: &Model, seed| scenario(model, segment.clone(), 500.0, seed);
         let cautions = |other: Scenario| {
-            let runs = [run(&coupled, seed), other];
-            compared(&runs, None).unwrap().measured.cautions
+            compared(&[run(&coupled, seed), other], None).unwrap().measured.cautions
         };
         assert_eq!(cautions(run(&coupled, seed + 10)), Vec::<String>::new());
         let found = cautions(run(&rigid, seed + 10));

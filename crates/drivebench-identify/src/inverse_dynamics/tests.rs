@@ -45,8 +45,7 @@ fn axis(seconds: f64, asymmetry: f64) -> Run {
         }
     }
     let columns = [(Channel::Torque, forces), (Channel::Angle, positions)];
-    let run = run_of(times, columns);
-    speed_from_angle::complete(&run).unwrap()
+    speed_from_angle::complete(&run_of(times, columns)).unwrap()
 }
 
 fn axis_model() -> Model {

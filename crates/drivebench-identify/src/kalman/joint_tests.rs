@@ -144,8 +144,7 @@ fn a_missing_effect_settles_nothing_until_the_model_has_it() {
 
 #[test]
 fn voltage_that_a_limit_of_the_drive_withheld_is_not_learnt() {
-    let run = limited(&run_under_steps(&paper(), 0.001, 4.0, 6), 1.5..2.5);
-    let found = identify(&unknown(), &run);
+    let found = identify(&unknown(), &limited(&run_under_steps(&paper(), 0.001, 4.0, 6), 1.5..2.5));
     finds("limited", &found, &PAPER, 0.01);
     let settled = |estimate: &ParameterEstimate| estimate.verdict == Verdict::Settled;
     assert!(found.estimates().iter().all(settled));

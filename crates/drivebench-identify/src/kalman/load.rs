@@ -115,8 +115,7 @@ impl LoadTracker {
         if self.input == Input::Voltage
             && let Some(volts) = self.applied.of(sample)
         {
-            let now_s = self.filter.now_s;
-            self.filter.voltage.apply(time_s, volts, now_s);
+            self.filter.voltage.apply(time_s, volts, self.filter.now_s);
         }
         let measured = [driving(self.input), Channel::Speed].map(|channel| sample.good(channel));
         if measured == [None, None] {

@@ -43,8 +43,7 @@ fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, second
 }
 
 fn track(record: &Record, seed: u64) -> LoadTrace {
-    let model = Model::baseline(motor(&PAPER));
-    load_torque_trace(&record.run(Some(seed)), &model).unwrap()
+    load_torque_trace(&record.run(Some(seed)), &Model::baseline(motor(&PAPER))).unwrap()
 }
 
 fn events() -> Vec<(f64, f64)> {
@@ -136,8 +135,7 @@ fn without_a_voltage_the_measured_current_drives_the_shaft() {
     let keep: Vec<usize> = (0..full.rows()).filter(|row| speeds[*row].is_finite()).collect();
     let pick = |values: &[f64]| keep.iter().map(|k| values[*k]).collect();
     let column = |channel| (channel, pick(full.column(channel).unwrap()));
-    let columns = [Channel::Current, Channel::Speed].map(column);
-    let run = run_of(pick(full.time_s()), columns);
+    let run = run_of(pick(full.time_s()), [Channel::Current, Channel::Speed].map(column));
     let mechanical = Motor::new("mechanical")
         .with(MotorKey::TorqueConstant, PAPER[2])
         .with(MotorKey::Inertia, PAPER[3])
@@ -181,8 +179,7 @@ fn a_value_that_is_missing_or_impossible_is_named() {
 fn voltage_that_a_limit_of_the_drive_withheld_is_no_load() {
     let record = plant(&events(), &|_| 0.0, 0.01, 6.0);
     let model = Model::baseline(motor(&PAPER));
-    let run = limited(&record.run(Some(5)), 3.0..5.0);
-    let trace = load_torque_trace(&run, &model).unwrap();
+    let trace = load_torque_trace(&limited(&record.run(Some(5)), 3.0..5.0), &model).unwrap();
     for point in trace.points.iter().filter(|point| point.time_s > 1.0) {
         let within = point.load_torque_n_m.abs() < 5.0 * point.std_n_m;
         assert!(within && point.load_torque_n_m.abs() < 0.2, "{point:?}");

@@ -72,8 +72,7 @@ fn a_late_speed_is_no_settled_resistance() {
 
 #[test]
 fn parameters_that_an_effect_bends_are_not_settled_far_off() {
-    let viscous = brushed_with("viscous_friction", &[1.5e-5]);
-    honest(&record_of(&viscous, 30.0), &BRUSHED);
+    honest(&record_of(&brushed_with("viscous_friction", &[1.5e-5]), 30.0), &BRUSHED);
     // The resistance itself changes: what it was is any of its values.
     let heating = brushed_with("winding_heating", &[2e-3, 20.0]);
     let mut known = BRUSHED;

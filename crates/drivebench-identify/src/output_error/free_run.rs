@@ -91,8 +91,7 @@ impl<'a> FreeRun<'a> {
             match (&slot, model.get(&slot)) {
                 (Slot::Effect { index, parameter, .. }, None) => {
                     let effect = model.effects[*index].effect;
-                    let size = typical_size(effect, *parameter, &model, scenario);
-                    model.set(&slot, size);
+                    model.set(&slot, typical_size(effect, *parameter, &model, scenario));
                 }
                 (Slot::Motor(MotorKey::LoadTorque), Some(value))
                     if !model.fixed.contains(&slot.key()) =>

@@ -150,8 +150,7 @@ fn a_speed_that_the_model_does_not_follow_is_no_steady_state() {
     for (k, current) in run.current_a.iter_mut().enumerate() {
         *current = 0.2 + 0.3 * (k as f64 * 104_729.0).sin();
     }
-    let noise = NoiseFloor::from_spread(&run);
-    let fit = fit(&[paper()], &run, &noise).unwrap();
+    let fit = fit(&[paper()], &run, &NoiseFloor::from_spread(&run)).unwrap();
     let reasons: String = fit.parameters.into_iter().filter_map(|p| p.reason).collect();
     assert!(!reasons.contains("steady state"), "{reasons}");
     assert!(reasons.contains("does not follow them"), "{reasons}");

@@ -186,8 +186,7 @@ fn frozen_telemetry(run: &mut Run) -> Option<Masked> {
     let channels: Vec<Channel> = columns.iter().map(|own| own.0).collect();
     let (longest_s, from_s) = (largest(lengths), times[first.start]);
     for channel in &channels {
-        let rows = still.iter().flat_map(|rows| rows.clone().skip(1));
-        empty(run, *channel, rows);
+        empty(run, *channel, still.iter().flat_map(|rows| rows.clone().skip(1)));
     }
     let rows = still.iter().map(|rows| rows.len() - 1).sum();
     Some(Masked::TelemetryFroze { channels, stretches: still.len(), longest_s, from_s, rows })

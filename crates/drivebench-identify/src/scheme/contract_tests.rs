@@ -155,8 +155,7 @@ fn balances_find_the_effects_that_are_terms_of_them() {
         }
         for scheme in ["weak-form", "inverse-dynamics"] {
             let found = identify(scheme, &run, &model).unwrap();
-            let key = format!("{id}.{}", specs[0].key);
-            let size = of(&found.parameters, &key);
+            let size = of(&found.parameters, &format!("{id}.{}", specs[0].key));
             let ratio = size.value.unwrap_or(f64::NAN) / values[0];
             assert!((ratio - 1.0).abs() < 0.15, "{scheme} {ratio} {size:?}");
         }

@@ -48,11 +48,9 @@ fn the_instruments_settle_the_whole_motor_at_ten_milliseconds() {
 fn least_squares_names_its_bias_and_settles_nothing_by_it() {
     let found = identify("1", &bench(0.01), &only_resistance()).unwrap();
     for key in ["electrical_time_constant_s", "inertia_kg_m2"] {
-        let parameter = judged(&found.parameters, key, Verdict::Invalid);
-        assert_says(parameter, &["T/Ta = 1.1", "1-exact"]);
+        assert_says(judged(&found.parameters, key, Verdict::Invalid), &["T/Ta = 1.1", "1-exact"]);
     }
-    let noted = found.notes.iter().any(|note| note.contains("T << Ta"));
-    assert!(noted, "{:?}", found.notes);
+    assert!(found.notes.iter().any(|note| note.contains("T << Ta")), "{:?}", found.notes);
     let found = identify("1-exact", &bench(0.002), &only_resistance()).unwrap();
     let key = "electrical_time_constant_s";
     let parameter = judged(&found.parameters, key, Verdict::Searching);
@@ -128,8 +126,7 @@ fn irregular_stamps_and_missing_signals_are_refused() {
     let one = vec![1.0; run.rows()];
     let mut current_only = run_of(run.time_s().to_vec(), [(Channel::Current, one)]);
     refused(&current_only, "no voltage");
-    let volts = run.column(Channel::Voltage).unwrap().to_vec();
-    put(&mut current_only, Channel::Voltage, volts);
+    put(&mut current_only, Channel::Voltage, run.column(Channel::Voltage).unwrap().to_vec());
     refused(&current_only, "no speed");
 }
 

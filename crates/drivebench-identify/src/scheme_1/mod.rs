@@ -532,8 +532,7 @@ pub fn noise_free(series: &Series<'_>, direction: &[i8], noise: Noise) -> Option
     }
     let theta = normal.try_inverse()? * right;
     let coefficients = Coefficients::from_array(theta.into());
-    let dynamics = Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s).ok()?;
-    Some((dynamics, sigma))
+    Some((Dynamics::from_coefficients(Form::Exact, &coefficients, series.period_s).ok()?, sigma))
 }
 
 #[cfg(test)]

@@ -328,8 +328,7 @@ fn trial(seed: u64, samples: usize, offset_v: f64, amplitude_v: f64) -> Trial {
     let free = record.instruments().unwrap();
     let sizes = [SLOW.ta_s, SLOW.tm_s, KE];
     let stds = [0, 1, 2].map(|j| 100.0 * free.covariance[j][j].sqrt() / sizes[j]);
-    let printed = printed.map_or([f64::NAN; 3], errors);
-    [printed, errors(free.dynamics), stds]
+    [printed.map_or([f64::NAN; 3], errors), errors(free.dynamics), stds]
 }
 
 /// Medians of the errors of both methods, and in how many trials the intervals of the instruments cover.

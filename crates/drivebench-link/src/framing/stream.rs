@@ -21,8 +21,7 @@ use crate::unexpected::Unexpected;
 
 /// What a turn of the link to our own drive is on the stream.
 fn message(turn: Turn<'_>) -> Message {
-    let put = turn.put.map(|put| (put.address, put.cells));
-    match (put, turn.read.map(|read| read.address)) {
+    match (turn.put.map(|put| (put.address, put.cells)), turn.read.map(|read| read.address)) {
         (Some((COMMAND_ADDRESS, &[seq, control, high, low])), _) => {
             // The drive refuses a command without a set-point.
             let none = DriveCommand::new(seq, Control::Voltage(f64::NAN));

@@ -183,8 +183,7 @@ impl RawClient {
         let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
             (6, Request::WriteSingleRegister(address, *value))
         } else {
-            let values = Cow::Borrowed(values);
-            (16, Request::WriteMultipleRegisters(address, values))
+            (16, Request::WriteMultipleRegisters(address, Cow::Borrowed(values)))
         };
         let [high, low] = address.to_be_bytes();
         let question = Question::plain(request, [code, high, low, 0, 0], &what, self.allowed());

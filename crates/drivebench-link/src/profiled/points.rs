@@ -228,8 +228,7 @@ impl Points {
             return Err(refused(bus, text));
         };
         let encoded = |value: f64| {
-            let factor = readings.factor(&point.numbers.scale_by)?;
-            let raw = point.numbers.raw(value, factor);
+            let raw = point.numbers.raw(value, readings.factor(&point.numbers.scale_by)?);
             point.location.layout.encode(raw)
         };
         let has_sign = point.keys.sign.is_some();

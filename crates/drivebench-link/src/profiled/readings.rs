@@ -218,8 +218,7 @@ impl Readings {
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {
         let signal = &self.map.signals[index];
-        let factor = self.factor(&signal.numbers.scale_by);
-        signal.read(signal.location.layout, pattern, factor).value()
+        signal.read(signal.location.layout, pattern, self.factor(&signal.numbers.scale_by)).value()
     }
 
     /// A position over the place where its counter begins again: the nearest to where the speed that was read last has taken

@@ -20,8 +20,7 @@ impl<B: CellBus> ProfiledLink<B> {
     /// Whether a state of the profile holds; `None` where no register maps it.
     pub(super) fn reported(&self, state: &str) -> Option<bool> {
         let condition = self.map.state(state)?;
-        let pattern = self.readings.get(&condition.signal)?.pattern?;
-        Some(condition.holds(pattern))
+        Some(condition.holds(self.readings.get(&condition.signal)?.pattern?))
     }
 
     /// The same where it was read since then, s.
@@ -50,8 +49,7 @@ impl<B: CellBus> ProfiledLink<B> {
     /// The code of its fault, as last read; 0 is none.
     fn fault_code(&self) -> Option<u16> {
         let signal = self.map.of_quantity(Quantity::FaultCode)?;
-        let pattern = self.readings.get(&signal.name)?.pattern?;
-        Some(low_word(pattern)).filter(|code| *code != 0)
+        Some(low_word(self.readings.get(&signal.name)?.pattern?)).filter(|code| *code != 0)
     }
 
     /// Meaning of the fault code, if the profile has it.

@@ -388,9 +388,7 @@ impl Picture<'_> {
 
     fn factor(&self, signal: &Signal, change: Change, depth: usize) -> Option<f64> {
         product_of(&signal.numbers.scale_by, |name| {
-            let depth = depth.checked_sub(1)?;
-            let index = self.map.index(name)?;
-            self.read_as(index, change, change, depth).value()
+            self.read_as(self.map.index(name)?, change, change, depth.checked_sub(1)?).value()
         })
     }
 }

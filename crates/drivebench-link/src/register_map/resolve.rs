@@ -96,8 +96,7 @@ struct Part<'a> {
 
 impl Part<'_> {
     fn wrong(&self, key: &str, message: impl Display) -> ConfigError {
-        let message = format!("{}{message}", self.whose);
-        self.reader.at(&self.span, key, message)
+        self.reader.at(&self.span, key, format!("{}{message}", self.whose))
     }
 
     fn require(&self, holds: bool, key: &str, message: impl Display) -> Result<(), ConfigError> {
@@ -127,8 +126,7 @@ impl Reader<'_> {
             .map(|(name, keys)| self.signal(name, keys))
             .collect::<Result<Vec<_>, _>>()?;
         let derived = file.derived.iter().map(|(name, keys)| self.derived(name, keys, &signals));
-        let derived = derived.collect::<Result<Vec<_>, _>>()?;
-        signals.extend(derived);
+        signals.extend(derived.collect::<Result<Vec<_>, _>>()?);
         let points = file.setpoints.iter().map(|(name, keys)| self.set_point(name, keys));
         let set_points = points.collect::<Result<_, _>>()?;
         let link = self.link;
@@ -690,8 +688,7 @@ impl Reader<'_> {
         }
         let offset = self.text[span.start..].find(name).map_or(span.start, |at| span.start + at);
         let message = format!("{name:?} is no {what} of this profile");
-        let help = help_for_unknown(name, allowed);
-        Err(ConfigError::at(self.file, self.text, offset, message, help))
+        Err(ConfigError::at(self.file, self.text, offset, message, help_for_unknown(name, allowed)))
     }
 
     /// An error at a key of a part; at the part where the key is not there.

@@ -234,8 +234,7 @@ impl Search {
             (moved[*index] - unclamped).abs() < 1e-12
         };
         let free: Vec<usize> = (0..self.x.len()).filter(is_free).collect();
-        let normal = normal.select_rows(&free).select_columns(&free);
-        predicted(&normal, &gradient.select_rows(&free))
+        predicted(&normal.select_rows(&free).select_columns(&free), &gradient.select_rows(&free))
     }
 
     /// Broyden's update: the smallest change of the Jacobian that predicts the last change of the residual, by the secant

@@ -347,8 +347,7 @@ mod tests {
             assert!(Model::baseline(motor).validate().is_err(), "{value}");
         }
         let axis = Motor::new("axis").with(MotorKey::Inertia, 90.0);
-        let axis = axis.with(MotorKey::LoadTorque, 10.0);
-        assert_eq!(Model::baseline(axis).slots().len(), 2);
+        assert_eq!(Model::baseline(axis.with(MotorKey::LoadTorque, 10.0)).slots().len(), 2);
         assert_eq!(Model::baseline(Motor::new("unknown")).slots().len(), 5);
     }
 }

@@ -228,8 +228,7 @@ fn row(line: &str) -> Result<(f64, Option<MappedValue>, usize), &'static str> {
         }
         _ => return Err(ALLOWED),
     };
-    let windows = windows.trim().parse().map_err(|_| ALLOWED)?;
-    Ok((number(middle)?, torque, windows))
+    Ok((number(middle)?, torque, windows.trim().parse().map_err(|_| ALLOWED)?))
 }
 
 #[cfg(test)]

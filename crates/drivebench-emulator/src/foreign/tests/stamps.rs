@@ -73,8 +73,7 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
         ("u32", "us", "1.0", 1e-6, 1),
         ("u32", "s", "0.001", 1e-3, 1),
     ] {
-        let clock = with_clock(kind, unit, scale);
-        let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
+        let mut table = servo(&[ONE_BLOCK, (FIRST, &with_clock(kind, unit, scale))]);
         table.pass(1.7);
         let first = table.rest();
         // The axis begins at the host's time, within the first reading.
@@ -98,8 +97,7 @@ fn the_drive_s_clock_stamps_the_samples_over_its_turns() {
 
 #[test]
 fn commands_are_on_the_drives_clock_behind_a_silence() {
-    let clock = with_clock("u32", "us", "1.0");
-    let mut table = servo(&[ONE_BLOCK, (FIRST, &clock)]);
+    let mut table = servo(&[ONE_BLOCK, (FIRST, &with_clock("u32", "us", "1.0"))]);
     let first = table.rest();
     let began_s = table.far().time_s() - first.time_s;
     table.enable(REFERENCE);

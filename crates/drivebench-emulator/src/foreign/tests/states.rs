@@ -53,8 +53,7 @@ fn a_register_without_a_number_gives_no_value_and_never_zero() {
 
 #[test]
 fn safe_torque_off_refuses_the_start_and_ends_a_run() {
-    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
-    let mut table = Table::of(&profile, None);
+    let mut table = Table::of(&profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]), None);
     table.far().switch_torque_off(true);
     table.link.identify().unwrap();
     let rest = table.rest();
@@ -104,8 +103,7 @@ fn a_busy_drive_is_polled_less_and_stopped_at_once() {
 
 #[test]
 fn a_drive_whose_supply_was_lost_is_brought_to_rest() {
-    let profile = profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]);
-    let mut table = Table::of(&profile, None);
+    let mut table = Table::of(&profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]), None);
     let before = table.link.identify().unwrap();
     table.drive(REFERENCE, 0.5);
     table.link.bus_mut().lose(u32::MAX);

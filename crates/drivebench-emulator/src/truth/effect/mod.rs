@@ -185,8 +185,7 @@ impl HiddenEffect {
     /// The first value that this effect cannot have.
     pub fn refused(&self) -> Option<Refused> {
         self.kind.parameters.iter().zip(&self.values).find_map(|(parameter, value)| {
-            let allowed = parameter.allowed.refuses(*value)?;
-            Some((parameter.key, *value, allowed))
+            Some((parameter.key, *value, parameter.allowed.refuses(*value)?))
         })
     }
 

@@ -69,8 +69,7 @@ fn with_script(
         let timeout = Duration::from_millis(timeout_ms);
         let settings = settings(timeout).link();
         let line = exchange("virtual", FrameKind::Rtu, &settings, &unit);
-        let link = modbus_link(line, settings.unit);
-        let mut client = RawClient::over(link, timeout, String::new());
+        let mut client = RawClient::over(modbus_link(line, settings.unit), timeout, String::new());
         work(&mut client);
         let counters = client.counters();
         assert!(counters.requests.balances(), "{counters:?}");

@@ -88,8 +88,7 @@ pub(super) fn balance_of(settings: &toml::Table) -> Result<Balance, DefinitionEr
 }
 
 pub(super) fn number_of(key: &str, value: &toml::Value) -> Result<f64, DefinitionError> {
-    let whole = value.as_integer().map(|whole| whole as f64);
-    let (message, help) = match value.as_float().or(whole) {
+    let (message, help) = match value.as_float().or(value.as_integer().map(|whole| whole as f64)) {
         Some(number) if number.is_finite() => return Ok(number),
         Some(number) => (format!("{key} = {number} is not allowed"), "a finite number"),
         None => {

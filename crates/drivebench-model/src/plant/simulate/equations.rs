@@ -123,8 +123,7 @@ impl Equations {
         };
         let value = |key: MotorKey| given(key, model.motor.get(key));
         let effects = model.effects.iter().map(|active| {
-            let terms = active.effect.terms(&active.values_or_guess());
-            (active.effect.card().enters, terms)
+            (active.effect.card().enters, active.effect.terms(&active.values_or_guess()))
         });
         let effects: Vec<_> = effects.collect();
         let path = effects.iter().map(|(_, terms)| terms.path()).fold(Path::default(), Path::plus);

@@ -124,8 +124,7 @@ fn a_changed_inertia_acts_on_both_sides_of_the_shaft() {
         let mut heavy = model(&[("backlash", &[gap, f / root, r, zeta / root, split])]);
         let inertia = heavy.motor.get(MotorKey::Inertia).unwrap();
         heavy.motor.set(MotorKey::Inertia, (1.0 + ratio) * inertia);
-        let heavy = simulate(&heavy, &scenario(reversals(), 0.001, 1101));
-        assert_near(&changed, &heavy, 0.02);
+        assert_near(&changed, &simulate(&heavy, &scenario(reversals(), 0.001, 1101)), 0.02);
     }
 }
 
@@ -228,8 +227,7 @@ fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     measured.current_a.clone_from(&free.current_a);
     measured.speed_rad_s.clone_from(&free.speed_rad_s);
     let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
-    let ahead = plant.predict_ahead(&measured, State::default(), 1);
-    assert_near(&free, &ahead, 1e-6);
+    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1), 1e-6);
     // Noise on the measurement stays of its size: the load does not run away from the motor.
     for (speed, noise) in measured.speed_rad_s.iter_mut().zip([0.1, -0.1].into_iter().cycle()) {
         *speed += noise;
