@@ -68,9 +68,7 @@ impl Numbering {
         let body: Vec<u8> = [0x55, 0].into_iter().chain(data).collect();
         Some(self.kind.packet(1, &body))
     }
-}
 
-impl Numbering {
     /// The answers of the drive odrive-0.5 to whole lines with check sums: the scratch number as it is, the bus voltage as the count.
     fn answers(&mut self, sent: &[u8]) -> Option<Vec<u8>> {
         let mut reply = String::new();

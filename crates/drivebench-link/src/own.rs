@@ -139,10 +139,8 @@ impl<L: Language> OwnLink<L> {
         let block = travels.to_registers();
         let answer = self.call(command_turn(&block), "the command", allowed, true);
         let answer = answer.and_then(|answer| self.decoded(answer));
-        self.failed_in_a_row = match &answer {
-            Ok(_) => 0,
-            Err(_) => self.failed_in_a_row.saturating_add(1),
-        };
+        let failed_in_a_row = self.failed_in_a_row.saturating_add(1);
+        self.failed_in_a_row = if answer.is_ok() { 0 } else { failed_in_a_row };
         Ok(self.exchange.core.sample(command, &answer?))
     }
 
@@ -191,13 +189,6 @@ impl<L: Language> OwnLink<L> {
                 result => return result,
             }
         }
-    }
-
-    /// Sent at once even on a doubtful line: the echo of its sequence number proves that it was applied.
-    fn stop_once(&mut self, stop: Command) -> Result<Sample> {
-        self.exchange.core.is_unsent = true;
-        self.exchange.listen()?;
-        self.command(stop)
     }
 }
 
@@ -250,7 +241,9 @@ impl<L: Language> DriveLink for OwnLink<L> {
         let (stop, name) = (self.exchange.core.stop_command(), self.exchange.core.name.clone());
         let mut is_sent = false;
         let stopped = stop_confirmed(&name, || {
-            let answer = self.stop_once(stop);
+            // Also on a doubtful line: the echo of its sequence number proves that it was applied.
+            self.exchange.core.is_unsent = true;
+            let answer = self.exchange.listen().and_then(|()| self.command(stop));
             is_sent |= !self.exchange.core.is_unsent;
             answer
         });

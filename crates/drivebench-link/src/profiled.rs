@@ -785,10 +785,7 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
         }
         // One in fault takes none, and its output is off; its enable command begins with all references at zero.
         let is_off = self.is_in_fault() && self.reported("running") == Some(false);
-        if is_off && matches!(zeroed, Err(LinkError::Exception { .. })) {
-            return Ok(());
-        }
-        zeroed
+        if is_off && matches!(zeroed, Err(LinkError::Exception { .. })) { Ok(()) } else { zeroed }
     }
 
     fn has_sent_command(&self) -> bool {

@@ -10,7 +10,7 @@ use std::future::poll_fn;
 use std::io::{self, ErrorKind};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Context, Poll};
+use std::task::{Context, Poll, ready};
 
 use tokio::io::{AsyncRead, AsyncWrite, AsyncWriteExt as _, ReadBuf};
 
@@ -84,13 +84,9 @@ impl ReplyFilter {
         poll_fn(|cx| {
             let mut inner = self.inner();
             loop {
-                match inner.read_port(cx) {
-                    Poll::Ready(Ok(_)) if inner.reception.accept()? => {
-                        return Poll::Ready(Ok(inner.reception.reply.clone()));
-                    }
-                    Poll::Ready(Ok(_)) => {}
-                    Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                    Poll::Pending => return Poll::Pending,
+                ready!(inner.read_port(cx))?;
+                if inner.reception.accept()? {
+                    return Poll::Ready(Ok(inner.reception.reply.clone()));
                 }
             }
         })
@@ -113,12 +109,10 @@ impl Inner {
     fn discard(&mut self, cx: &mut Context<'_>) -> io::Result<usize> {
         let mut dropped = 0;
         // A line that sends faster than it is read must not block.
-        while dropped < 1 << 16 {
-            match self.read_port(cx) {
-                Poll::Ready(Ok(count)) => dropped += count,
-                Poll::Ready(Err(error)) => return Err(error),
-                Poll::Pending => break,
-            }
+        while dropped < 1 << 16
+            && let Poll::Ready(count) = self.read_port(cx)?
+        {
+            dropped += count;
         }
         Ok(self.reception.drop_strays())
     }
@@ -127,17 +121,12 @@ impl Inner {
     fn read_port(&mut self, cx: &mut Context<'_>) -> Poll<io::Result<usize>> {
         let mut bytes = [0; 512];
         let mut buffer = ReadBuf::new(&mut bytes);
-        match Pin::new(&mut self.port).poll_read(cx, &mut buffer) {
-            Poll::Ready(Ok(())) if buffer.filled().is_empty() => {
-                Poll::Ready(Err(io::Error::new(ErrorKind::BrokenPipe, "the other end closed")))
-            }
-            Poll::Ready(Ok(())) => {
-                self.reception.push(buffer.filled(), now());
-                Poll::Ready(Ok(buffer.filled().len()))
-            }
-            Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
-            Poll::Pending => Poll::Pending,
+        ready!(Pin::new(&mut self.port).poll_read(cx, &mut buffer))?;
+        if buffer.filled().is_empty() {
+            return Poll::Ready(Err(io::Error::new(ErrorKind::BrokenPipe, "the other end closed")));
         }
+        self.reception.push(buffer.filled(), now());
+        Poll::Ready(Ok(buffer.filled().len()))
     }
 }
 
@@ -156,14 +145,9 @@ impl AsyncRead for ReplyFilter {
                 inner.taken += count;
                 return Poll::Ready(Ok(()));
             }
-            match inner.read_port(cx) {
-                Poll::Ready(Ok(_)) => {
-                    if inner.reception.accept()? {
-                        inner.taken = 0;
-                    }
-                }
-                Poll::Ready(Err(error)) => return Poll::Ready(Err(error)),
-                Poll::Pending => return Poll::Pending,
+            ready!(inner.read_port(cx))?;
+            if inner.reception.accept()? {
+                inner.taken = 0;
             }
         }
     }
@@ -177,15 +161,10 @@ impl AsyncWrite for ReplyFilter {
     ) -> Poll<io::Result<usize>> {
         let mut inner = self.inner();
         let at = now();
-        match Pin::new(&mut inner.port).poll_write(cx, bytes) {
-            Poll::Ready(Ok(count)) => {
-                let reception = &mut inner.reception;
-                reception.expected.request.extend_from_slice(&bytes[..count]);
-                reception.sent(count, at);
-                Poll::Ready(Ok(count))
-            }
-            other => other,
-        }
+        let count = ready!(Pin::new(&mut inner.port).poll_write(cx, bytes))?;
+        inner.reception.expected.request.extend_from_slice(&bytes[..count]);
+        inner.reception.sent(count, at);
+        Poll::Ready(Ok(count))
     }
 
     /// The kernel has the bytes already. Flushing a serial port would block the thread past any deadline.

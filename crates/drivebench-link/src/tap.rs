@@ -197,19 +197,15 @@ fn write(file: File, messages: &Receiver<Message>) -> io::Result<()> {
     let mut file = BufWriter::new(file);
     loop {
         let message = match messages.try_recv() {
-            Ok(message) => message,
             Err(TryRecvError::Empty) => {
                 file.flush()?;
-                match messages.recv() {
-                    Ok(message) => message,
-                    Err(_) => return Ok(()),
-                }
+                messages.recv().ok()
             }
-            Err(TryRecvError::Disconnected) => return file.flush(),
+            message => message.ok(),
         };
         match message {
-            Message::Bytes(bytes) => file.write_all(&bytes)?,
-            Message::End => return file.flush(),
+            Some(Message::Bytes(bytes)) => file.write_all(&bytes)?,
+            Some(Message::End) | None => return file.flush(),
         }
     }
 }

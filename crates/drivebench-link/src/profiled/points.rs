@@ -164,10 +164,7 @@ impl Points {
         self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
         let sent = &self.sent[at];
         let is_held = sent.value.map(f64::to_bits) == Some(value.to_bits());
-        if is_held && !sent.in_doubt {
-            return Ok(());
-        }
-        self.write(far, name, value, None)
+        if is_held && !sent.in_doubt { Ok(()) } else { self.write(far, name, value, None) }
     }
 
     /// Repeats the writes that the drive needs within its refresh time.
@@ -306,10 +303,7 @@ impl Points {
             return if value == 0.0 { Ok(()) } else { Err(refused(bus, text)) };
         };
         let word = (before & !mask) | if value < 0.0 { mask } else { 0 };
-        if word == before && !sent.in_doubt {
-            return Ok(());
-        }
-        self.send(bus, at, point, &[word])
+        if word == before && !sent.in_doubt { Ok(()) } else { self.send(bus, at, point, &[word]) }
     }
 
     /// Whether a write may go out at all; `false`: it would change nothing.

@@ -154,10 +154,7 @@ impl Readings {
         let holds = |block: &&ReadBlock| {
             block.signals.iter().any(|index| signals[*index].keys.quantity == quantity)
         };
-        match self.slow.iter().find(holds).cloned() {
-            Some(block) => self.read(bus, &block),
-            None => Ok(()),
-        }
+        self.slow.iter().find(holds).cloned().map_or(Ok(()), |block| self.read(bus, &block))
     }
 
     fn read(&mut self, bus: &mut dyn CellBus, block: &ReadBlock) -> Result<()> {

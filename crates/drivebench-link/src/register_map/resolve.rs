@@ -555,12 +555,8 @@ impl Reader<'_> {
 
     /// Names that lead from one part to another, and lengths against the drive's limits.
     fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
-        let once: Vec<&str> = map
-            .signals
-            .iter()
-            .filter(|s| s.keys.poll == PollRate::Once)
-            .map(|signal| signal.name.as_str())
-            .collect();
+        let once = map.signals.iter().filter(|s| s.keys.poll == PollRate::Once);
+        let once: Vec<&str> = once.map(|signal| signal.name.as_str()).collect();
         let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
             for factor in &numbers.scale_by {
                 let factors = once.iter().copied();
@@ -590,13 +586,7 @@ impl Reader<'_> {
             let most = ("max_write", map.max_write);
             fits("setpoint", name, numbers, location, most, span.clone())?;
             if let Some(sign) = &keys.sign {
-                let words: Vec<&str> = map
-                    .set_points
-                    .iter()
-                    .filter(|p| p.is_word())
-                    .map(|p| p.name.as_str())
-                    .collect();
-                let words = words.iter().copied();
+                let words = map.set_points.iter().filter(|p| p.is_word()).map(|p| p.name.as_str());
                 self.known(&sign.set_point, words, "setpoint of quantity \"word\"", &span)?;
             }
         }

@@ -113,7 +113,7 @@ pub(super) struct IdentityKeys {
 }
 
 /// `[signals.NAME]`: one value that is read.
-#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SignalKeys {
     pub(super) address: Option<i64>,
@@ -207,42 +207,15 @@ impl SignalKeys {
     /// Of a channel that is computed.
     pub(super) fn derived(quantity: Quantity, unit: Unit, whole: &WholeDerived) -> Self {
         Self {
-            address: None,
-            parameter: None,
-            can: None,
-            field: None,
-            reply: None,
-            reply_by: None,
-            request: None,
-            answer: None,
-            hole: None,
-            function: None,
             kind: Kind::F32,
-            word_order: None,
-            byte_order: None,
-            byte: None,
-            bits: None,
-            scale: None,
-            offset: None,
-            scale_by: Vec::new(),
             unit,
             quantity,
             poll: PollRate::Fast,
-            valid: None,
-            invalid: Vec::new(),
             origin: Some(whole.origin.unwrap_or(Origin::Derived)),
-            signed: None,
             filter_ms: whole.filter_ms,
             since_last_read: whole.since_last_read,
-            truncated: false,
-            update_ms: None,
-            basis: None,
             side: whole.side,
-            pole_pairs: None,
-            counts_per_turn: None,
-            wraps_at: None,
-            trust: None,
-            note: None,
+            ..Self::default()
         }
     }
 }

@@ -57,9 +57,10 @@ pub enum Resync {
     None,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PollRate {
+    #[default]
     Fast,
     Slow,
     Once,
@@ -67,6 +68,7 @@ pub enum PollRate {
 
 named! {
     /// What a register means.
+    #[derive(Default)]
     pub enum Quantity {
         Current = "current",
         /// A current that is positive where it drives the shaft the way of the voltage, whatever that is.
@@ -102,6 +104,7 @@ named! {
         Word = "word",
         /// A set-point of speed.
         Speed = "speed",
+        #[default]
         Other = "other",
     }
 }

@@ -4,6 +4,7 @@ use crate::settings::named;
 
 named! {
     /// How a raw number lies in its cells.
+    #[derive(Default)]
     pub enum Kind {
         U8 = "u8",
         I8 = "i8",
@@ -11,6 +12,7 @@ named! {
         I16 = "i16",
         U32 = "u32",
         I32 = "i32",
+        #[default]
         F32 = "f32",
     }
 }

@@ -170,14 +170,9 @@ fn condition(
     (mask, pattern): (u32, u32),
     negated: bool,
 ) -> Result<Condition, ConfigError> {
-    let fast: Vec<&str> = map
-        .signals
-        .iter()
-        .filter(|s| s.keys.poll == PollRate::Fast)
-        .map(|signal| signal.name.as_str())
-        .collect();
-    let what = "signal with poll = \"fast\"";
-    part.reader.known(signal, fast.iter().copied(), what, &part.span)?;
+    let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
+    let fast = fast.map(|signal| signal.name.as_str());
+    part.reader.known(signal, fast, "signal with poll = \"fast\"", &part.span)?;
     let holds = pattern & !mask == 0;
     let message =
         format_args!("{pattern:#06x} has bits outside of the mask {mask:#06x}: it can never hold");
