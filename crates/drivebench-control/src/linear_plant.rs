@@ -78,10 +78,7 @@ pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, P
     if !slope.is_finite() {
         return Err(PlantError::NotPhysical { key: VISCOUS, value: slope });
     }
-    if slope < 0.0 {
-        return Err(PlantError::Drives(slope));
-    }
-    Ok(slope)
+    if slope < 0.0 { Err(PlantError::Drives(slope)) } else { Ok(slope) }
 }
 
 impl LinearPlant {

@@ -319,17 +319,11 @@ impl Responder for FaultyLine<'_> {
     }
 
     fn stream(&mut self, received: &Received) -> Option<stream::Frame> {
-        if self.is_blocked() {
-            return None;
-        }
-        self.drive.stream(received)
+        if self.is_blocked() { None } else { self.drive.stream(received) }
     }
 
     fn packet(&mut self, body: &[u8], may_command: &mut dyn FnMut() -> bool) -> Option<Vec<u8>> {
-        if self.is_blocked() {
-            return None;
-        }
-        self.drive.packet(body, may_command)
+        if self.is_blocked() { None } else { self.drive.packet(body, may_command) }
     }
 
     fn foreign_write(&self) -> Vec<u8> {

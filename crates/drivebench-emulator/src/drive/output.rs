@@ -84,10 +84,7 @@ impl OutputStage {
         {
             return off;
         }
-        let wanted_v = match acting {
-            Some(acting) => self.wanted_v(acting, plant),
-            None => 0.0,
-        };
+        let wanted_v = acting.map_or(0.0, |acting| self.wanted_v(acting, plant));
         let mut output = self.limited(wanted_v, plant);
         // The drive reports its set-point, unless a limit is in force.
         if let Some(Control::Voltage(commanded_v)) = control

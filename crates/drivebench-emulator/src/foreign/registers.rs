@@ -157,10 +157,7 @@ impl ForeignDrive {
         if let Some(word) = self.written.get(&address) {
             return Some(*word);
         }
-        if self.is_mapped(table, address) || self.is_hole(table, address) {
-            return Some(0);
-        }
-        None
+        (self.is_mapped(table, address) || self.is_hole(table, address)).then_some(0)
     }
 
     /// An unused register that lies between used ones: drives answer it within the reach of a block.

@@ -29,10 +29,7 @@ pub(super) const EFFECT: Card = Card {
             let ratio = at.speed_rad_s * per_speed;
             let square = ratio * ratio;
             // exp(-40) = 4e-18 is below the rounding of the friction to which it is added.
-            if square > 40.0 {
-                return 0.0;
-            }
-            level_n_m * (-square).exp()
+            if square > 40.0 { 0.0 } else { level_n_m * (-square).exp() }
         })
     },
     ..Card::PLAIN

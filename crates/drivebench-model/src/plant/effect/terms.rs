@@ -275,16 +275,9 @@ impl Path {
 
     /// Whether the sensors have no dynamics and no offsets.
     pub fn measures_directly(&self) -> bool {
-        [
-            self.speed_delay_s,
-            self.speed_filter_s,
-            self.current_filter_s,
-            self.current_offset_a,
-            self.speed_offset_rad_s,
-        ]
-        .iter()
-        .all(|value| *value == 0.0)
-            && !self.averages_current
+        let (command_delay_s, start_delay_s, restart_delay_s) = (0.0, 0.0, 0.0);
+        let sensors = Self { command_delay_s, start_delay_s, restart_delay_s, ..*self };
+        sensors == Self::default()
     }
 }
 
@@ -321,7 +314,7 @@ impl<F, const N: usize> OneLaw<N> for F where
 
 /// Terms that are one law in one method of [`Terms`], for values in the order of the effect's parameters.
 macro_rules! one_law {
-    ($(#[$text:meta])* $name:ident, $method:ident($($own:ident)?)) => {
+    ($($(#[$text:meta])* $name:ident, $method:ident($($own:ident)?);)+) => {$(
         $(#[$text])*
         pub(super) fn $name<const N: usize>(values: &[f64], law: impl OneLaw<N>) -> Box<dyn Terms> {
             struct Law<F, const N: usize>(F, [f64; N]);
@@ -334,29 +327,21 @@ macro_rules! one_law {
 
             Box::new(Law(law, std::array::from_fn(|index| values[index])))
         }
-    };
+    )+};
 }
 
-one_law!(
+one_law! {
     /// Terms of a voltage drop, V.
-    voltage, voltage_v(_own)
-);
-one_law!(
+    voltage, voltage_v(_own);
     /// Terms of a torque against positive motion, N.m.
-    torque, torque_n_m(_own)
-);
-one_law!(
+    torque, torque_n_m(_own);
     /// Terms of an addition to the Coulomb level, N.m.
-    friction, friction_n_m()
-);
-one_law!(
+    friction, friction_n_m();
     /// Terms of a relative addition to the rate of the current.
-    current_rate_gain, current_rate_gain()
-);
-one_law!(
+    current_rate_gain, current_rate_gain();
     /// Terms of a relative addition to the inertia.
-    inertia_gain, inertia_gain()
-);
+    inertia_gain, inertia_gain();
+}
 
 /// Terms of one cause in both balances: voltage drop (V) and torque (N.m).
 pub(super) fn voltage_and_torque(
