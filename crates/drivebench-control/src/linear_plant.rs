@@ -269,10 +269,8 @@ impl LinearPlant {
         joint.fixed_view_mut::<STATES, STATES>(0, 0).copy_from(&(a * time_s));
         joint.fixed_view_mut::<STATES, 1>(0, STATES).copy_from(&(b * time_s));
         let exponential = joint.exp();
-        (
-            exponential.fixed_view::<STATES, STATES>(0, 0).into_owned(),
-            exponential.fixed_view::<STATES, 1>(0, STATES).into_owned(),
-        )
+        let phi = exponential.fixed_view::<STATES, STATES>(0, 0).into_owned();
+        (phi, exponential.fixed_view::<STATES, 1>(0, STATES).into_owned())
     }
 }
 
@@ -441,10 +439,8 @@ mod tests {
     fn unphysical_values_are_refused_by_name() {
         let motor = Motor::zk_22fc().with(MotorKey::Inertia, -1.0);
         let error = LinearPlant::voltage(&Model::baseline(motor), 0.0).unwrap_err();
-        assert_eq!(
-            error.to_string(),
-            "inertia_kg_m2 = -1 is not physical (allowed: a finite value above 0)"
-        );
+        let text = "inertia_kg_m2 = -1 is not physical (allowed: a finite value above 0)";
+        assert_eq!(error.to_string(), text);
         let mut motor = Motor::zk_22fc();
         motor.clear(MotorKey::Inductance);
         assert!(matches!(

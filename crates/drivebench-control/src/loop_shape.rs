@@ -156,11 +156,8 @@ impl LoopShape {
     /// One period; `reference` after its filter.
     fn step(&self, memory: &mut Memory, reference: f64) -> f64 {
         memory.filtered += self.filter_share * (memory.x[1] - memory.filtered);
-        let error = memory.notch.pass(
-            self.gains.notch.as_ref(),
-            reference - memory.filtered,
-            self.timing.period_s,
-        );
+        let error = reference - memory.filtered;
+        let error = memory.notch.pass(self.gains.notch.as_ref(), error, self.timing.period_s);
         let gain = self.gains.proportional;
         memory.integral += gain * self.timing.period_s / self.gains.integral_time_s * error;
         let output = gain * error + memory.integral;

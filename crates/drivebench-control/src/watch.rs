@@ -466,10 +466,8 @@ mod tests {
             assert_eq!(first(&|t| (100.0 / 60.0) * t), None);
             assert_eq!(first(&|t| (50.0 * t).min(99.9)), None);
             let (cycle, found) = first(&|_| 60.0).unwrap();
-            assert!(
-                cycle <= 101 && matches!(found, Finding::Saturated { .. }),
-                "{cycle} {found:?}"
-            );
+            let is_found = cycle <= 101 && matches!(found, Finding::Saturated { .. });
+            assert!(is_found, "{cycle} {found:?}");
             // From limit to limit, slower than any half-period that counts.
             let (cycle, found) = first(&|t| 100.0 + 60.0 * (4.0 * t).sin()).unwrap();
             assert!(cycle <= 150, "{cycle}");

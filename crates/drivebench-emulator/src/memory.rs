@@ -169,12 +169,9 @@ impl DriveLink for MemoryLink {
 impl Burst for MemoryLink {
     fn arm(&mut self) -> Result<()> {
         let arm = [CaptureControl::Arm.code()];
-        self.exchange_registers(
-            Some((CAPTURE_CONTROL.address, &arm)),
-            CAPTURE_CONTROL.address,
-            "arm the capture",
-        )
-        .map(|[_]: [u16; 1]| ())
+        let put = Some((CAPTURE_CONTROL.address, &arm[..]));
+        self.exchange_registers(put, CAPTURE_CONTROL.address, "arm the capture")
+            .map(|[_]: [u16; 1]| ())
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>> {

@@ -39,11 +39,8 @@ impl Endpoint {
     /// A pseudo-terminal behind a path in the temporary folder that no other drive uses.
     pub fn temporary_pty() -> Self {
         static COUNT: AtomicU64 = AtomicU64::new(0);
-        let name = format!(
-            "drivebench-{}-{}.pty",
-            std::process::id(),
-            COUNT.fetch_add(1, Ordering::Relaxed)
-        );
+        let count = COUNT.fetch_add(1, Ordering::Relaxed);
+        let name = format!("drivebench-{}-{count}.pty", std::process::id());
         Self::Pty(std::env::temp_dir().join(name))
     }
 }
@@ -327,10 +324,8 @@ impl<'a> Server<'a> {
 
     #[cfg(not(target_os = "linux"))]
     fn serve_pty(&mut self, _stable: &Path, _ready: impl FnOnce(&str)) -> io::Result<()> {
-        Err(io::Error::new(
-            io::ErrorKind::Unsupported,
-            "pseudo-terminals are served on Linux only; use TCP",
-        ))
+        let message = "pseudo-terminals are served on Linux only; use TCP";
+        Err(io::Error::new(io::ErrorKind::Unsupported, message))
     }
 
     fn serve_tcp(&mut self, address: SocketAddr, ready: impl FnOnce(&str)) -> io::Result<()> {

@@ -114,10 +114,8 @@ mod tests {
     #[test]
     fn a_block_without_samples_is_an_error() {
         let found = Capture::collect("sim:", 0.0, 1e-4, 1, |_| Ok(Vec::new()));
-        assert_eq!(
-            found.unwrap_err().to_string(),
-            "sim: the reply belongs to another request: no captured samples from 0 on"
-        );
+        let text = "sim: the reply belongs to another request: no captured samples from 0 on";
+        assert_eq!(found.unwrap_err().to_string(), text);
     }
 
     #[test]

@@ -11,6 +11,7 @@ pub(crate) use super::link_error::Result;
 use super::register_map::Quantity;
 use super::transaction::{LineCounts, StopRequest};
 use super::unexpected::Unexpected;
+use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Command, Demand, Sample};
 use drivebench_model::text::number;
 
@@ -190,12 +191,7 @@ impl Default for RoundTrips {
 
 impl RoundTrips {
     pub fn add(&mut self, round_trip_s: f64) {
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "the cast of a float saturates, and the index is bounded below"
-        )]
-        let bucket = ((round_trip_s * 1e6).log2() * PER_DOUBLING) as usize;
+        let bucket = whole((round_trip_s * 1e6).log2() * PER_DOUBLING);
         self.counts[bucket.min(BUCKETS - 1)] += 1;
         self.total += 1;
         self.longest_s = self.longest_s.max(round_trip_s);

@@ -74,10 +74,8 @@ pub(super) fn open_error(path: &str, error: &io::Error) -> LinkError {
         ErrorKind::PermissionDenied => {
             let owner = std::fs::metadata(path).map(|file| (file.mode(), file.gid()));
             let groups = std::fs::read_to_string("/etc/group").unwrap_or_default();
-            owner.map_or_else(
-                |_| "permission denied".to_owned(),
-                |(mode, gid)| permission(path, mode, gid, &groups),
-            )
+            let why = |(mode, gid)| permission(path, mode, gid, &groups);
+            owner.map_or_else(|_| "permission denied".to_owned(), why)
         }
         _ => error.to_string(),
     };
@@ -141,10 +139,8 @@ mod tests {
             let text = permission("/dev/ttyUSB7", mode, gid, groups);
             assert!(text.contains(has) && !text.contains(has_not), "{mode:o} {gid}: {text}");
         }
-        let denied = serialport::Error::new(
-            serialport::ErrorKind::Io(ErrorKind::PermissionDenied),
-            "Permission denied",
-        );
+        let kind = serialport::ErrorKind::Io(ErrorKind::PermissionDenied);
+        let denied = serialport::Error::new(kind, "Permission denied");
         let error = serial_error("/dev/null", &denied).to_string();
         assert!(error.contains("permission denied: its mode is"), "{error}");
     }

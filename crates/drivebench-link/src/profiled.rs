@@ -613,10 +613,8 @@ impl<B: CellBus> ProfiledLink<B> {
                 }
             };
             if let Some(reason) = wrong {
-                return Err(LinkError::Identity(
-                    self.name().0,
-                    format!("this is not {}: {reason}", self.map.device.name),
-                ));
+                let message = format!("this is not {}: {reason}", self.map.device.name);
+                return Err(LinkError::Identity(self.name().0, message));
             }
         }
         Ok(())
@@ -642,10 +640,8 @@ impl<B: CellBus> ProfiledLink<B> {
         if let Some(set_s) = set_s
             && (time_s - set_s).abs() > 0.5 * unit_s
         {
-            return Err(LinkError::Identity(
-                self.name().0,
-                format!("the watchdog was set to {set_s} s and reads back as {time_s} s"),
-            ));
+            let message = format!("the watchdog was set to {set_s} s and reads back as {time_s} s");
+            return Err(LinkError::Identity(self.name().0, message));
         }
         Ok(Some(time_s))
     }

@@ -517,10 +517,8 @@ fn may_have_inserted_byte(received: &[u8]) -> bool {
 }
 
 pub(super) fn never_silent(link: &str) -> LinkError {
-    LinkError::Corrupt(
-        link.to_owned(),
-        "the line is never silent: something talks all the time".to_owned(),
-    )
+    let message = "the line is never silent: something talks all the time".to_owned();
+    LinkError::Corrupt(link.to_owned(), message)
 }
 
 pub(super) fn out_of_step(link: &str) -> LinkError {

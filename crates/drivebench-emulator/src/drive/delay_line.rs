@@ -10,6 +10,7 @@ use firmware_protocol::Control;
 
 use super::TICK_S;
 use crate::truth::Path;
+use drivebench_model::numerics::count::whole;
 
 /// Delays set-points. Switching off is never delayed.
 pub(super) struct DelayLine {
@@ -90,13 +91,7 @@ impl DelayLine {
 
 /// Whole ticks: the resolution of the drive.
 fn ticks(delay_s: f64) -> u64 {
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "checked with the configuration: 0 to 1 s"
-    )]
-    let ticks = (delay_s / TICK_S).round() as u64;
-    ticks
+    whole((delay_s / TICK_S).round()) as u64
 }
 
 fn is_zero(control: Control) -> bool {

@@ -34,6 +34,7 @@ use super::config::EmulatorConfig;
 use super::fault::FaultKind;
 use super::truth::effect::{Site, TrueParameter};
 use super::truth::{MotorTruth, Plant, Reading, Sensors};
+use drivebench_model::numerics::count::whole;
 
 pub(super) use self::stream::answer as answer_stream;
 
@@ -137,13 +138,7 @@ impl SoftDrive {
     /// Lets drive time reach `time_s`; a time that has passed changes nothing.
     pub fn advance_to(&mut self, time_s: f64) {
         // The small addend keeps rounding from turning n ticks into one less.
-        let target = (time_s / TICK_S + 1e-6).floor();
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "the cast saturates; a negative time has passed"
-        )]
-        let target = target as u64;
+        let target = whole(time_s / TICK_S + 1e-6) as u64;
         while self.tick < target {
             self.step();
         }

@@ -29,12 +29,8 @@ impl RegisterBank for SoftDrive {
         copy(IDENTITY_ADDRESS, &self.identity().to_registers(), address, out);
         if self.has(FaultKind::OtherVersion) {
             // A protocol version that does not exist yet.
-            copy(
-                r::IDENTITY_VERSION.address,
-                &[(firmware_protocol::PROTOCOL_VERSION + 8)],
-                address,
-                out,
-            );
+            let version = &[(firmware_protocol::PROTOCOL_VERSION + 8)];
+            copy(r::IDENTITY_VERSION.address, version, address, out);
         }
         if usize::from(address) + out.len() > usize::from(CAPTURE_ADDRESS) {
             copy(CAPTURE_ADDRESS, &self.capture_registers(), address, out);

@@ -2,6 +2,7 @@ use proptest::prelude::*;
 
 use super::super::motor::zk_22fc;
 use super::*;
+use drivebench_model::numerics::count::whole;
 
 const H: f64 = 50e-6;
 
@@ -15,8 +16,7 @@ fn stribeck() -> HiddenEffect {
 }
 
 fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small count")]
-    for _ in 0..(time_s / step_s).round() as usize {
+    for _ in 0..whole((time_s / step_s).round()) {
         plant.advance(terminals, step_s);
     }
 }

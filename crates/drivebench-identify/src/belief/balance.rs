@@ -46,10 +46,8 @@ impl Row {
 
     /// Current and speed of its second sample, A and rad/s.
     pub fn ends(&self) -> (f64, f64) {
-        (
-            self.current_a + 0.5 * self.current_change_a,
-            self.speed_rad_s + 0.5 * self.speed_change_rad_s,
-        )
+        let speed_rad_s = self.speed_rad_s + 0.5 * self.speed_change_rad_s;
+        (self.current_a + 0.5 * self.current_change_a, speed_rad_s)
     }
 }
 
@@ -89,10 +87,8 @@ impl Plate {
     pub(super) fn uncertainty_v(&self, row: &Row) -> (f64, f64) {
         let winding = (row.seconds * self.resistance_ohm / (6.0 * self.inductance_h)).min(0.5);
         let shaft = self.mechanical_error(row.seconds);
-        (
-            winding * self.resistance_ohm * row.current_change_a.abs(),
-            shaft * self.back_emf_v_s_per_rad * row.speed_change_rad_s.abs(),
-        )
+        let back_emf = shaft * self.back_emf_v_s_per_rad * row.speed_change_rad_s.abs();
+        (winding * self.resistance_ohm * row.current_change_a.abs(), back_emf)
     }
 
     /// The terms over these rows, V; `None`: a voltage is not known, or there is no row.

@@ -268,10 +268,8 @@ impl Escalation {
             return (self.break_away(), line);
         }
         if self.last_v >= safe_v * 0.999 {
-            return ended(ending::no_current(
-                observation,
-                belief::Settings::IDLE_CURRENT * rated_a,
-            ));
+            let idle_a = belief::Settings::IDLE_CURRENT * rated_a;
+            return ended(ending::no_current(observation, idle_a));
         }
         // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
         let (least_v, most_v) = (1.2 * self.last_v, SETTINGS.growth * self.last_v);

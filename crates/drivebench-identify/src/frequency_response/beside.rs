@@ -207,11 +207,8 @@ fn at_frequency(points: &[ResponsePoint], hertz: f64) -> Option<(f64, f64, f64)>
     }
     let share = if span > 0.0 { (hertz / below.frequency_hz).ln() / span } else { 0.0 };
     let between = |of: fn(&ResponsePoint) -> f64| of(below) + share * (of(above) - of(below));
-    Some((
-        between(|point| point.magnitude.ln()).exp(),
-        between(|point| point.phase_deg),
-        below.half_width().max(above.half_width()),
-    ))
+    let magnitude = between(|point| point.magnitude.ln()).exp();
+    Some((magnitude, between(|point| point.phase_deg), below.half_width().max(above.half_width())))
 }
 
 fn off(at: usize, pathway: Pathway, own: &ResponsePoint, model: &[ResponsePoint]) -> Option<Off> {

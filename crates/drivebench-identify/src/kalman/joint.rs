@@ -253,10 +253,8 @@ impl Kalman {
     pub fn summary(&self) -> String {
         let Tally { used, breaks, outliers, reopened } = self.filter.tally;
         let [current, speed] = self.filter.consistency().map(|ratio| {
-            ratio.map_or_else(
-                || "not known (no rest to compare with)".to_owned(),
-                |r| format!("{r:.2}"),
-            )
+            let unknown = || "not known (no rest to compare with)".to_owned();
+            ratio.map_or_else(unknown, |r| format!("{r:.2}"))
         });
         format!(
             "Kalman filter: {used} rows used, {breaks} breaks at reversals and stops, {outliers} outliers, opened again {reopened} times; innovation over noise: current {current}, speed {speed}; standard deviations widened {:.2} times",

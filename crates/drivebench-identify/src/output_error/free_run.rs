@@ -242,10 +242,8 @@ impl<'a> FreeRun<'a> {
             if noise.is_finite() { 10.0 * noise } else { scale }
         };
         let scales = &self.scenario.scales;
-        (
-            unit(self.noise.current_a, scales.current_a),
-            unit(self.noise.speed_rad_s, 0.1 * scales.speed_rad_s),
-        )
+        let speed = unit(self.noise.speed_rad_s, 0.1 * scales.speed_rad_s);
+        (unit(self.noise.current_a, scales.current_a), speed)
     }
 }
 

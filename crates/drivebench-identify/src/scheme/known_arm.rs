@@ -48,11 +48,8 @@ fn identify(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
     });
     if amplitude_n_m <= 0.0 {
         let reason = "the model has no weight of known torque";
-        return Err(data.refused(
-            id,
-            reason,
-            "give --known-arm KG,M: the mass and its distance from the shaft",
-        ));
+        let help = "give --known-arm KG,M: the mass and its distance from the shaft";
+        return Err(data.refused(id, reason, help));
     }
     if scenario.input != Input::Voltage || scenario.angle.len() < 5 {
         let reason = "it needs a voltage and a measured angle";
@@ -178,15 +175,8 @@ fn in_torques(
     }
     let inductance = MotorKey::Inductance;
     let reason = "an arm is slower than the armature circuit: it is taken as settled";
-    parameters.insert(
-        1,
-        ParameterEstimate::not_observable(
-            inductance.key(),
-            inductance.unit(),
-            Reason::SampledTooSlowly,
-            reason,
-        ),
-    );
+    let (key_text, unit, code) = (inductance.key(), inductance.unit(), Reason::SampledTooSlowly);
+    parameters.insert(1, ParameterEstimate::not_observable(key_text, unit, code, reason));
     if let Some((_, wave)) = scale {
         let sizes = wave.map(|share| amplitude_n_m * share);
         model.effects.retain(|active| active.id() != WEIGHT.id());

@@ -152,10 +152,8 @@ impl Grid {
             ));
         }
         if scenario.speed_rad_s.iter().all(|speed| speed.is_nan()) {
-            return Err(refuse(
-                "it has no speed".to_owned(),
-                "map one with --map speed_rad_s=HEADER (or angle_rad=HEADER)",
-            ));
+            let help = "map one with --map speed_rad_s=HEADER (or angle_rad=HEADER)";
+            return Err(refuse("it has no speed".to_owned(), help));
         }
         let first = scenario.events[0].1;
         let mut volts = scenario.events.iter().map(|event| event.1);

@@ -257,11 +257,8 @@ mod tests {
         ] {
             let found = super::super::search(FrameKind::Stream, &expected, &received).unwrap();
             let context = format!("{received:02x?}");
-            assert_eq!(
-                (found.reply, found.old.len(), found.foreign),
-                (reply, old, foreign),
-                "{context}"
-            );
+            let found = (found.reply, found.old.len(), found.foreign);
+            assert_eq!(found, (reply, old, foreign), "{context}");
         }
         assert_eq!(search(&Expected::default(), &answer(7)).old.len(), 1);
     }

@@ -199,10 +199,8 @@ mod tests {
             assert_eq!(packet(&bytes_of(payload)), bytes_of(packet_bytes), "{payload}");
         }
         // The short form ends at 255 bytes.
-        assert_eq!(
-            (packet(&[0; 255])[..2].to_vec(), packet(&[0; 256])[..3].to_vec()),
-            (vec![2, 255], vec![3, 1, 0])
-        );
+        let heads = (packet(&[0; 255])[..2].to_vec(), packet(&[0; 256])[..3].to_vec());
+        assert_eq!(heads, (vec![2, 255], vec![3, 1, 0]));
         assert_eq!(checksum(b"123456789"), 0x31C3);
     }
 

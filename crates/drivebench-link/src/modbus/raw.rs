@@ -30,6 +30,7 @@ use crate::timeline::identity;
 use crate::timing::wait_until;
 use crate::transaction::LineCounts;
 use crate::waiting::now;
+use drivebench_model::numerics::count::whole;
 
 pub use written::{WriteOutcome, Written};
 
@@ -72,12 +73,9 @@ pub struct RawSettings {
 
 impl RawSettings {
     fn link(&self) -> LinkSettings {
+        let rtu = if self.rtu_over_tcp { Protocol::ModbusRtuOverTcp } else { Protocol::default() };
         LinkSettings {
-            protocol: if self.rtu_over_tcp {
-                Protocol::ModbusRtuOverTcp
-            } else {
-                Protocol::default()
-            },
+            protocol: rtu,
             baud: self.baud,
             unit: self.unit,
             framing: self.framing,
@@ -231,12 +229,8 @@ impl RawClient {
             Err(LinkError::Exception { .. }) => return Ok(None),
             block => block?,
         };
-        let block = block
-            .as_slice()
-            .try_into()
-            .ok()
-            .and_then(|b| firmware_protocol::Identity::from_registers(b).ok());
-        Ok(block.map(|block| identity(&block)))
+        let block = block.as_slice().try_into().map(firmware_protocol::Identity::from_registers);
+        Ok(block.ok().and_then(Result::ok).map(|block| identity(&block)))
     }
 
     /// Vendor, product and revision as the unit gives them; empty where it does not.
@@ -336,12 +330,7 @@ impl Batch {
     /// Quantile of the round trips, s.
     pub fn quantile_s(&self, share: f64) -> Option<f64> {
         let last = self.round_trips.len().checked_sub(1)?;
-        #[expect(
-            clippy::cast_possible_truncation,
-            clippy::cast_sign_loss,
-            reason = "a share of a length is an index"
-        )]
-        let index = (share.clamp(0.0, 1.0) * last as f64).round() as usize;
+        let index = whole((share.clamp(0.0, 1.0) * last as f64).round());
         self.round_trips.get(index).map(Duration::as_secs_f64)
     }
 

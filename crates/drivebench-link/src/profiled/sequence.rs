@@ -80,10 +80,8 @@ impl Sequence {
                     if fresh.is_some_and(|(bits, _)| condition.holds(bits)) {
                         self.go_on(now_s);
                     } else if now_s - self.since_s > *within_s {
-                        let seen = fresh.map_or_else(
-                            || "was not read".to_owned(),
-                            |(bits, _)| format!("is {bits:#06x}"),
-                        );
+                        let told = |(bits, _)| format!("is {bits:#06x}");
+                        let seen = fresh.map_or_else(|| "was not read".to_owned(), told);
                         return Next::Failed {
                             step: self.step(),
                             reason: format!(

@@ -416,10 +416,8 @@ mod tests {
             .map(|signal| {
                 let zeros = || Some(vec![0; usize::from(signal.location.layout.cells())]);
                 let given = known.iter().find(|(name, _)| *name == signal.name);
-                given.map_or_else(
-                    || Window { below: zeros(), here: zeros(), above: zeros() },
-                    |(_, window)| window.clone(),
-                )
+                let none = || Window { below: zeros(), here: zeros(), above: zeros() };
+                given.map_or_else(none, |(_, window)| window.clone())
             })
             .collect()
     }

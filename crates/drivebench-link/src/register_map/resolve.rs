@@ -210,11 +210,8 @@ impl Reader<'_> {
 
     fn check_link(&mut self, file: &ProfileFile) -> Result<Requests, ConfigError> {
         let schema = *file.schema.get_ref();
-        self.part(file.schema.span(), "").require(
-            schema == 1,
-            "",
-            format_args!("schema {schema} is not allowed (expected 1)"),
-        )?;
+        let message = format_args!("schema {schema} is not allowed (expected 1)");
+        self.part(file.schema.span(), "").require(schema == 1, "", message)?;
         let link = self.link;
         let part = self.part(file.link.span(), "");
         let holds = link.protocol != Protocol::Stream;

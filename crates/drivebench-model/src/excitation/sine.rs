@@ -23,12 +23,9 @@ impl Excitation for Sine {
     fn check(&self) -> Result<(), Refusal> {
         amplitude("amplitude_v", self.amplitude_v)?;
         duration("seconds", self.seconds)?;
-        refuse_unless(
-            self.frequency_hz > 0.0 && self.frequency_hz * self.seconds <= 1e4,
-            "frequency_hz",
-            self.frequency_hz,
-            "more than 0 Hz, at most 10000 periods in its part",
-        )
+        let good = self.frequency_hz > 0.0 && self.frequency_hz * self.seconds <= 1e4;
+        let allowed = "more than 0 Hz, at most 10000 periods in its part";
+        refuse_unless(good, "frequency_hz", self.frequency_hz, allowed)
     }
 
     fn duration_s(&self) -> f64 {
@@ -81,18 +78,11 @@ impl Excitation for Chirp {
         amplitude("amplitude_v", self.amplitude_v)?;
         duration("seconds", self.seconds)?;
         finite("offset_v", self.offset_v)?;
-        refuse_unless(
-            self.from_hz > 0.0 && self.from_hz * self.seconds >= 1.0,
-            "from_hz",
-            self.from_hz,
-            "more than 0 Hz, a period in its part",
-        )?;
-        refuse_unless(
-            self.to_hz >= 1.01 * self.from_hz && self.periods_at(self.seconds) <= 2e4,
-            "to_hz",
-            self.to_hz,
-            "more than from_hz, at most 20000 periods in its part",
-        )
+        let good = self.from_hz > 0.0 && self.from_hz * self.seconds >= 1.0;
+        refuse_unless(good, "from_hz", self.from_hz, "more than 0 Hz, a period in its part")?;
+        let good = self.to_hz >= 1.01 * self.from_hz && self.periods_at(self.seconds) <= 2e4;
+        let allowed = "more than from_hz, at most 20000 periods in its part";
+        refuse_unless(good, "to_hz", self.to_hz, allowed)
     }
 
     fn duration_s(&self) -> f64 {

@@ -196,10 +196,8 @@ fn an_expired_watchdog_is_named_and_code_zero_is_none() {
     let sample = table.run(REFERENCE).unwrap();
     assert_eq!(sample.state, Some(DriveState::Fault));
     assert_eq!(sample.fault, None);
-    assert_eq!(
-        sample.fault_text.as_deref(),
-        Some("communication loss (comm_loss): the drive's own watchdog has expired")
-    );
+    let text = Some("communication loss (comm_loss): the drive's own watchdog has expired");
+    assert_eq!(sample.fault_text.as_deref(), text);
 }
 
 #[test]

@@ -99,10 +99,8 @@ fn runs_without_effects_are_their_closed_forms() {
 
 /// Reversals, a creep through zero and holds at rest.
 pub(super) fn reversals() -> Vec<(f64, f64)> {
-    held(
-        [0.0, 0.05, 0.25, 0.5, 0.6, 0.7, 0.8, 0.95],
-        [0.0, 20.0, -12.0, 2.0, -1.0, 3.0, 0.0, -30.0],
-    )
+    let volts = [0.0, 20.0, -12.0, 2.0, -1.0, 3.0, 0.0, -30.0];
+    held([0.0, 0.05, 0.25, 0.5, 0.6, 0.7, 0.8, 0.95], volts)
 }
 
 #[test]
