@@ -106,14 +106,9 @@ impl CramerRaoBound {
 
     /// Of a parameter whose column is a linear combination of others.
     fn collinear(&self, index: usize) -> String {
-        let others: Vec<String> = self
-            .free
-            .iter()
-            .zip(&self.least)
-            .enumerate()
-            .filter(|(other, (_, least))| *other != index && least.is_none())
-            .map(|(_, (slot, _))| slot.key())
-            .collect();
+        let others = self.free.iter().zip(&self.least).enumerate();
+        let others = others.filter(|(other, (_, least))| *other != index && least.is_none());
+        let others: Vec<String> = others.map(|(_, (slot, _))| slot.key()).collect();
         if others.is_empty() {
             return "the fit ends where it has no influence: the run does not excite it, or it is nearly zero"
                 .to_owned();

@@ -82,11 +82,9 @@ fn choices(active: &ActiveEffect, tried: &[Tried]) -> Vec<(String, Option<String
     let best = &tried[0];
     let chosen = |(index, spec): (usize, &ParameterSpec)| {
         let (value, key) = (best.active.values[index]?, spec.key);
-        let rival = tried
-            .iter()
-            .find(|other| other.active.values[index] != Some(value))
-            .filter(|other| other.gain > 0.95 * best.gain)
-            .and_then(|other| other.active.values[index]);
+        let rival = tried.iter().find(|other| other.active.values[index] != Some(value));
+        let rival = rival.filter(|other| other.gain > 0.95 * best.gain);
+        let rival = rival.and_then(|other| other.active.values[index]);
         let doubt = rival.map(|rival| {
             format!("{key} {value} and {rival} explain this run nearly equally well: record more turns, at low speed")
         });

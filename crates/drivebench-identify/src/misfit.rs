@@ -215,10 +215,8 @@ pub fn widen_by_forms_of_torque(
         let odds = (0.5 * (size / std).powi(2)).exp() / (rows as f64).sqrt();
         let probability = 1.0 - 1.0 / (1.0 + odds);
         for (parameter, largest) in parameters.iter().zip(&mut largest) {
-            let other = with
-                .iter()
-                .find(|found| found.key == parameter.key)
-                .and_then(ParameterEstimate::carried);
+            let other = with.iter().find(|found| found.key == parameter.key);
+            let other = other.and_then(ParameterEstimate::carried);
             if let (Some((value, _)), Some((other, _))) = (parameter.carried(), other) {
                 let change = (other - value).abs();
                 let variance = probability * change * change;

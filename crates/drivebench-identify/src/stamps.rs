@@ -19,11 +19,8 @@ pub fn spread(scenario: &Scenario, values: &[f64], sample: usize) -> f64 {
     let before = sample.checked_sub(1).map(|before| slope(before, sample));
     let after = (sample + 1 < times.len()).then(|| slope(sample, sample + 1));
     // The steeper side, because the other one may be before or after a step; a missing neighbour has no slope.
-    let steepest = before
-        .into_iter()
-        .chain(after)
-        .filter(|slope| slope.is_finite())
-        .fold(0.0, |most, slope| f64::max(most, slope.abs()));
+    let steepest = before.into_iter().chain(after).filter(|slope| slope.is_finite());
+    let steepest = steepest.fold(0.0, |most, slope| f64::max(most, slope.abs()));
     steepest * half_width_s / 3f64.sqrt()
 }
 

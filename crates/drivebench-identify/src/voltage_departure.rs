@@ -59,11 +59,8 @@ mod tests {
         let rows = 1000_usize;
         let mut run = Run::new("r", (0..rows).map(|k| 0.01 * k as f64).collect()).unwrap();
         let command: Vec<f64> = (0..rows).map(|k| 20.0 * ((k / 100) % 4) as f64).collect();
-        let measured = command
-            .iter()
-            .enumerate()
-            .map(|(k, u)| applied(k, *u) + [0.02, -0.02][k % 2])
-            .collect();
+        let measured = command.iter().enumerate();
+        let measured = measured.map(|(k, u)| applied(k, *u) + [0.02, -0.02][k % 2]).collect();
         run.set_column(Channel::VoltageCmd, command, Origin::Commanded).unwrap();
         run.set_column(Channel::Voltage, measured, origin).unwrap();
         run

@@ -84,10 +84,8 @@ mod tests {
 
     #[test]
     fn no_window_spans_a_pause_and_slow_rows_are_none() {
-        let times: Vec<f64> = (0..1000)
-            .filter(|row| !(400..800).contains(row))
-            .map(|row| 1e-3 * f64::from(row))
-            .collect();
+        let times = (0..1000).filter(|row| !(400..800).contains(row));
+        let times: Vec<f64> = times.map(|row| 1e-3 * f64::from(row)).collect();
         let found = windows(&times, 0.03);
         let length_s = |window: &Range<usize>| times[window.end] - times[window.start];
         assert!(found.len() >= 18 && found.iter().all(|window| length_s(window) < 0.05));

@@ -60,10 +60,8 @@ impl Sawtooth {
         }
         let mut ranges = Vec::new();
         for (k, step) in steps.iter().enumerate().filter(|(_, step)| is_jump(step)) {
-            let neighbours = [k.checked_sub(1), Some(k + 1)]
-                .into_iter()
-                .filter_map(|k| steps.get(k?))
-                .filter(|step| !is_jump(step));
+            let neighbours = [k.checked_sub(1), Some(k + 1)].into_iter();
+            let neighbours = neighbours.filter_map(|k| steps.get(k?)).filter(|step| !is_jump(step));
             let speeds: Vec<f64> = neighbours.map(|step| step.1 / step.0).collect();
             if speeds.is_empty() {
                 return None;

@@ -117,10 +117,8 @@ mod tests {
 
     #[test]
     fn a_port_that_is_absent_is_named_with_the_ports_that_are_there() {
-        let error = serial("/dev/drivebench-none", 115_200, Framing::default())
-            .open()
-            .map(drop)
-            .unwrap_err();
+        let error = serial("/dev/drivebench-none", 115_200, Framing::default()).open().map(drop);
+        let error = error.unwrap_err();
         let error = serial_error("/dev/drivebench-none", &error).to_string();
         assert!(error.contains("/dev/drivebench-none: cannot open: it does not exist ("));
     }

@@ -41,11 +41,9 @@ fn every_hidden_effect() -> Vec<HiddenEffect> {
     let mut effects: Vec<HiddenEffect> = blocks
         .split("[[hidden]]")
         .map(|block| {
-            let keys: Vec<&str> = block
-                .lines()
-                .map(|line| line.strip_prefix('#').unwrap_or(line))
-                .filter(|line| line.contains(" = ") && !line.starts_with(' '))
-                .collect();
+            let keys = block.lines().map(|line| line.strip_prefix('#').unwrap_or(line));
+            let keys = keys.filter(|line| line.contains(" = ") && !line.starts_with(' '));
+            let keys: Vec<&str> = keys.collect();
             let text = format!("{head}[[hidden]]\n{}", keys.join("\n"));
             EmulatorConfig::parse("example.toml", &text).unwrap().hidden[0].clone()
         })

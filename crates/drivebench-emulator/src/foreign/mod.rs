@@ -415,10 +415,8 @@ impl ForeignDrive {
         let factor = self.factor(&point.numbers.scale_by);
         let value = raw * point.numbers.scale * factor + point.numbers.offset;
         let negative = point.keys.sign.as_ref().is_some_and(|sign| {
-            let word = self
-                .map
-                .set_point(&sign.set_point)
-                .and_then(|word| self.written.get(&word.location.address));
+            let word = self.map.set_point(&sign.set_point);
+            let word = word.and_then(|word| self.written.get(&word.location.address));
             word.is_some_and(|word| word & sign.mask != 0)
         });
         Some(if negative { -value } else { value })
@@ -485,12 +483,8 @@ impl ForeignDrive {
             at.table == table && within(at.address, at.layout.cells())
         });
         let points = table == CellTable::Holding || !self.map.functions.contains(&3);
-        let points = points
-            && self
-                .map
-                .set_points
-                .iter()
-                .any(|point| within(point.location.address, point.location.layout.cells()));
+        let is_in = |p: &SetPoint| within(p.location.address, p.location.layout.cells());
+        let points = points && self.map.set_points.iter().any(is_in);
         let exact = self.map.exact_reads.iter().any(|(first, count)| within(*first, *count));
         let time = self.map.watchdog.time.as_ref();
         let time = table == CellTable::Holding && time.is_some_and(|(at, _)| at.address == address);

@@ -8,6 +8,9 @@ use super::registers::{bits, number_of};
 use drivebench_link::register_map::{Kind, Signal};
 use drivebench_link::{CellTable, KickedBy, Protocol};
 
+/// Whether commands of the host are accepted now, evaluated for each of them.
+type MayCommand<'a> = &'a mut dyn FnMut() -> bool;
+
 /// Bytes of each selected value of a VESC, by its bit (commands.c).
 const SELECTED: [u16; 22] = [2, 2, 4, 4, 4, 4, 2, 4, 2, 4, 4, 4, 4, 4, 4, 1, 4, 1, 6, 4, 4, 1];
 
@@ -115,11 +118,7 @@ fn dynamixel_packet(bytes: &[u8]) -> Whole {
 
 impl ForeignDrive {
     /// What answers the body of a packet; nothing where the language has no reply to it, or it is for another.
-    pub fn answer_packet(
-        &mut self,
-        body: &[u8],
-        may_command: &mut dyn FnMut() -> bool,
-    ) -> Option<Vec<u8>> {
+    pub fn answer_packet(&mut self, body: &[u8], may_command: MayCommand<'_>) -> Option<Vec<u8>> {
         match self.map.protocol {
             Protocol::Vesc => self.answer_vesc(body, may_command),
             Protocol::Lines => self.answer_line(body, may_command),
@@ -128,11 +127,7 @@ impl ForeignDrive {
     }
 
     /// What a line of text is answered with, by the templates of the profile.
-    fn answer_line(
-        &mut self,
-        body: &[u8],
-        may_command: &mut dyn FnMut() -> bool,
-    ) -> Option<Vec<u8>> {
+    fn answer_line(&mut self, body: &[u8], may_command: MayCommand<'_>) -> Option<Vec<u8>> {
         let map = std::sync::Arc::clone(&self.map);
         let grammar = map.lines.as_deref()?;
         let mut line = std::str::from_utf8(body).ok()?.trim();
@@ -205,11 +200,7 @@ impl ForeignDrive {
         text
     }
 
-    fn answer_vesc(
-        &mut self,
-        payload: &[u8],
-        may_command: &mut dyn FnMut() -> bool,
-    ) -> Option<Vec<u8>> {
+    fn answer_vesc(&mut self, payload: &[u8], may_command: MayCommand<'_>) -> Option<Vec<u8>> {
         let (command, rest) = payload.split_first()?;
         let reply = match (*command, rest) {
             (50, [b3, b2, b1, b0]) => {
@@ -260,11 +251,7 @@ impl ForeignDrive {
         self.apply_write(point.location.address, point.location.layout.cells());
     }
 
-    fn answer_dynamixel(
-        &mut self,
-        body: &[u8],
-        may_command: &mut dyn FnMut() -> bool,
-    ) -> Option<Vec<u8>> {
+    fn answer_dynamixel(&mut self, body: &[u8], may_command: MayCommand<'_>) -> Option<Vec<u8>> {
         let [id, instruction, parameters @ ..] = body else { return None };
         if *id != self.unit {
             return None;

@@ -8,11 +8,8 @@ use drivebench_model::plant::effect;
 #[test]
 fn every_effect_is_drawn_and_sometimes_none() {
     let drawn: Vec<Mystery> = (0..1500).map(draw).collect();
-    let ids: BTreeSet<&str> = drawn
-        .iter()
-        .flat_map(|mystery| &mystery.truth.effects)
-        .map(|effect| effect.id.as_str())
-        .collect();
+    let ids = drawn.iter().flat_map(|mystery| &mystery.truth.effects);
+    let ids: BTreeSet<&str> = ids.map(|effect| effect.id.as_str()).collect();
     let listed: BTreeSet<&str> =
         [false, true].into_iter().flat_map(HiddenEffect::mysteries).collect();
     assert_eq!(ids, listed);

@@ -444,11 +444,8 @@ impl Escalation {
         let speed_rad_s = SETTINGS.sweep_share * bounds.speed_limit_rad_s;
         // The slope may take longer where the friction needs more voltage than it reaches.
         let slope_v = (1.5 * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
-        let peak_v = turned
-            .voltage_at(speed_rad_s)?
-            .min(bounds.voltage_limit_v)
-            .min(10.0 * self.last_v)
-            .min(slope_v);
+        let peak_v = turned.voltage_at(speed_rad_s)?.min(bounds.voltage_limit_v);
+        let peak_v = peak_v.min(10.0 * self.last_v).min(slope_v);
         let sweep = BothWays {
             kind: StageKind::Sweep,
             peak_v,

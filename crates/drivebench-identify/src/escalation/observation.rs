@@ -84,10 +84,8 @@ impl Observation {
         };
         let slow = means(&speeds);
         // Rest until the mean exceeds 0.6 of the threshold of motion, less the samples of that mean.
-        let at_rest = slow
-            .iter()
-            .position(|speed| speed.abs() > 0.6 * motion_rad_s)
-            .map_or(speeds.len(), |at| at.saturating_sub(AVERAGED));
+        let at_rest = slow.iter().position(|speed| speed.abs() > 0.6 * motion_rad_s);
+        let at_rest = at_rest.map_or(speeds.len(), |at| at.saturating_sub(AVERAGED));
         let (at_mean, mean_speed_rad_s) = farthest(&slow);
         // Empty where the drive measures none.
         let points: Vec<(f64, f64)> = run.points(Channel::Voltage).collect();
@@ -205,11 +203,8 @@ pub(super) fn at_rest(scenario: &Scenario, observation: &Observation) -> Option<
     if rows.len() < 15 {
         return None;
     }
-    let amps: Vec<f64> = rows
-        .iter()
-        .map(|at| scenario.current_a[*at])
-        .map(|current_a| current_a - observation.offset_a)
-        .collect();
+    let amps = rows.iter().map(|at| scenario.current_a[*at]);
+    let amps: Vec<f64> = amps.map(|current_a| current_a - observation.offset_a).collect();
     // 45 time constants from 0.1 ms to 0.2 s: from none to slower than any small machine.
     let ratio = (0.2_f64 / 1e-4).powf(1.0 / 44.0);
     let fits: Vec<(f64, f64, f64, f64)> = (0..45)
@@ -238,11 +233,8 @@ pub(super) fn at_rest(scenario: &Scenario, observation: &Observation) -> Option<
         return None;
     }
     // The change of the resistance over the lags within the confidence region is part of its uncertainty.
-    let spread = fits
-        .iter()
-        .filter(|fit| fit.0 - best.0 < 4.0 * noise_a * noise_a && fit.2 > 0.0)
-        .map(|fit| (fit.2 - conductance).abs())
-        .fold(0.0, f64::max);
+    let spread = fits.iter().filter(|fit| fit.0 - best.0 < 4.0 * noise_a * noise_a && fit.2 > 0.0);
+    let spread = spread.map(|fit| (fit.2 - conductance).abs()).fold(0.0, f64::max);
     let resistance_ohm = 1.0 / conductance;
     Some(RestWinding {
         resistance_ohm,

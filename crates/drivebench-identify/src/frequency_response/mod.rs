@@ -495,17 +495,13 @@ impl Estimator {
             weights.into_iter().map(|weight| weight / sum).collect::<Vec<f64>>()
         });
         let response = [0, 1].map(|output| {
-            let parts = known
-                .iter()
-                .zip(&shares[output])
-                .map(|(local, share)| local.response[output] * *share);
+            let parts = known.iter().zip(&shares[output]);
+            let parts = parts.map(|(local, share)| local.response[output] * *share);
             parts.sum()
         });
         let covariance = Matrix2::from_fn(|a, b| {
-            let parts = known
-                .iter()
-                .zip(shares[a].iter().zip(&shares[b]))
-                .map(|(local, (one, other))| local.covariance[(a, b)] * (one * other));
+            let parts = known.iter().zip(shares[a].iter().zip(&shares[b]));
+            let parts = parts.map(|(local, (one, other))| local.covariance[(a, b)] * (one * other));
             parts.sum()
         });
         let coherence = [0, 1].map(|output| {

@@ -150,10 +150,8 @@ impl Task {
         if count < 4 * size {
             return None;
         }
-        let starts = [0.0, 1.0, 2.0]
-            .map(|periods| self.start(layout, periods * self.period))
-            .into_iter()
-            .flatten();
+        let starts = [0.0, 1.0, 2.0].map(|periods| self.start(layout, periods * self.period));
+        let starts = starts.into_iter().flatten();
         let (_, start) = starts.min_by(|a, b| a.0.total_cmp(&b.0))?;
         let scale: Vec<f64> = start.iter().map(|value| value.abs().max(1e-9)).collect();
         let model = Model { task: self, layout, scale };

@@ -366,11 +366,8 @@ fn stretches(needed: &[&Points], period_s: f64) -> Vec<(f64, f64)> {
     let spans: Vec<(f64, f64)> = needed.iter().filter_map(ends).collect();
     let begin_s = spans.iter().map(|s| s.0).fold(f64::NEG_INFINITY, f64::max);
     let end_s = spans.iter().map(|s| s.1).fold(f64::INFINITY, f64::min);
-    let mut gaps: Vec<(f64, f64)> = needed
-        .iter()
-        .flat_map(|points| points.windows(2).map(|w| (w[0].0, w[1].0)))
-        .filter(|gap| gap.1 - gap.0 > 5.0 * period_s)
-        .collect();
+    let gaps = needed.iter().flat_map(|points| points.windows(2).map(|w| (w[0].0, w[1].0)));
+    let mut gaps: Vec<(f64, f64)> = gaps.filter(|gap| gap.1 - gap.0 > 5.0 * period_s).collect();
     gaps.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut stretches = Vec::new();
     let mut from_s = begin_s;

@@ -106,10 +106,8 @@ impl<'a> FreeRun<'a> {
             let (values, level) = measured(scenario, &noise, *is_speed);
             values[*sample].is_finite() && level.is_finite()
         };
-        let rows: Vec<(usize, bool)> = (scenario.scored.clone())
-            .flat_map(|sample| [(sample, false), (sample, true)])
-            .filter(is_measured)
-            .collect();
+        let rows = (scenario.scored.clone()).flat_map(|sample| [(sample, false), (sample, true)]);
+        let rows: Vec<(usize, bool)> = rows.filter(is_measured).collect();
         if rows.is_empty() {
             return Err(FitError::NothingMeasured { run: scenario.name.clone() });
         }

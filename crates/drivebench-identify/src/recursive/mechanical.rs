@@ -256,11 +256,8 @@ impl MechanicalBalance {
             let inertia_std =
                 (inertia * (aa / (a * a) + kt_share).max(0.0).sqrt()).hypot(inertia_doubt);
             let ratio_variance = (bb - 2.0 * ratio * ab + ratio * ratio * aa) / (a * a);
-            let load_std = (kt * kt * ratio_variance + load * load * kt_share)
-                .max(0.0)
-                .sqrt()
-                .hypot(load_doubt)
-                .hypot(kt * load_bias);
+            let load_std = (kt * kt * ratio_variance + load * load * kt_share).max(0.0).sqrt();
+            let load_std = load_std.hypot(load_doubt).hypot(kt * load_bias);
             Some((inertia_std, load_std))
         })();
         let load_doubt = kt * sampling[1] / load.abs().max(f64::MIN_POSITIVE);

@@ -528,10 +528,8 @@ impl Scheme3 {
 
     /// The inductance plus one standard deviation: it determines the current between samples.
     fn with_doubtful_inductance(&self, [r, l, ke]: Winding) -> Winding {
-        let std = self
-            .best()
-            .and_then(|track| track.estimator().standard_deviations())
-            .map_or(l, |stds| stds[1]);
+        let std = self.best().and_then(|track| track.estimator().standard_deviations());
+        let std = std.map_or(l, |stds| stds[1]);
         [r, l * (1.0 + (std / l).min(1.0)), ke]
     }
 

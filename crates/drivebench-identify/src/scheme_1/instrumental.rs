@@ -326,10 +326,8 @@ fn first_models(series: &Series<'_>, direction: &[i8], given: Option<Dynamics>) 
             load_v: 0.0,
         });
     }
-    let mut ranked: Vec<(f64, Dynamics)> = models
-        .into_iter()
-        .map(|model| (Auxiliary::of(series, &model).error_rad_s, model))
-        .collect();
+    let ranked = models.into_iter().map(|model| (Auxiliary::of(series, &model).error_rad_s, model));
+    let mut ranked: Vec<(f64, Dynamics)> = ranked.collect();
     ranked.sort_by(|a, b| a.0.total_cmp(&b.0));
     ranked.into_iter().map(|(_, model)| model).collect()
 }
@@ -450,10 +448,8 @@ impl Solution {
             right += z * pair.value;
         }
         let least = normal.singular_values().min();
-        let inverse = normal
-            .try_inverse()
-            .filter(|_| least > LEAST_EXCITATION)
-            .ok_or(InstrumentalError::NotExcited { least })?;
+        let inverse = normal.try_inverse().filter(|_| least > LEAST_EXCITATION);
+        let inverse = inverse.ok_or(InstrumentalError::NotExcited { least })?;
         let theta = (inverse * right).component_div(&norms);
         let inverse = M4::from_fn(|i, j| inverse[(i, j)] / (norms[i] * sizes[j]));
         let squares: f64 = pairs.iter().map(|pair| pair.error(&theta).powi(2)).sum();

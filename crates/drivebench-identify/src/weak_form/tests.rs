@@ -32,11 +32,8 @@ fn a_voltage_run_gives_every_parameter() {
 #[test]
 fn a_linear_axis_under_force_gives_mass_and_friction() {
     let motor = Motor::new("axis").with(MotorKey::Inertia, 95.0).with(MotorKey::LoadTorque, 20.0);
-    let model = Model::baseline(motor)
-        .with_effect("viscous_friction")
-        .unwrap()
-        .with_effect("constant_load")
-        .unwrap();
+    let model = Model::baseline(motor).with_effect("viscous_friction").unwrap();
+    let model = model.with_effect("constant_load").unwrap();
     let mut truth = model.clone();
     truth.effects[0].values = vec![Some(200.0)];
     truth.effects[1].values = vec![Some(-3.0)];

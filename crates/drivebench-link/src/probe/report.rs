@@ -150,10 +150,8 @@ impl ProbeReport {
             state.is_some_and(|state| state.holds == Some(true))
         };
         let signals = || self.signals.iter();
-        let wrong: Vec<String> = signals()
-            .filter(|signal| signal.plausible == Some(false))
-            .map(|signal| signal.name.clone())
-            .collect();
+        let wrong = signals().filter(|signal| signal.plausible == Some(false));
+        let wrong: Vec<String> = wrong.map(|signal| signal.name.clone()).collect();
         let judged = signals().filter(|s| s.plausible.is_some()).count();
         let confirmed = signals().filter(|s| s.confirms).count();
         let (verdict, finding) = if let Some(ProbedCheck { what, found, .. }) = failed {
