@@ -257,8 +257,7 @@ mod tests {
             (&[6, 0, 0, 0, 1], [0x86, 2]),
             (&[6, 0, 33, 0, 9], [0x86, 3]),
         ] {
-            let answers = rtu(&rtu_frame(1, request));
-            assert_eq!(answers, [rtu_frame(1, &exception)], "{request:?}");
+            assert_eq!(rtu(&rtu_frame(1, request)), [rtu_frame(1, &exception)], "{request:?}");
         }
         let tcp = |bytes: &[u8]| answers(Protocol::ModbusTcp, bytes);
         let request = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);

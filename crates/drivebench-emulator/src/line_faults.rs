@@ -347,8 +347,7 @@ mod tests {
         assert_eq!(line.request.len(), LONGEST_REQUEST);
         line.silence();
         (1..=3).for_each(|byte| line.host_byte(byte));
-        let sent = line.reply(vec![4], 0.0, 0.1, None);
-        assert_eq!(sent, [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
+        assert_eq!(line.reply(vec![4], 0.0, 0.1, None), [(0.0, vec![1, 2, 3]), (0.1, vec![4])]);
     }
 
     #[test]

@@ -210,8 +210,7 @@ mod tests {
     fn link(seed: u64) -> (MemoryLink, VirtualClock) {
         let clock = VirtualClock::new();
         let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
-        let link = MemoryLink::new(drive, clock.clone(), Latency::default());
-        (link, clock)
+        (MemoryLink::new(drive, clock.clone(), Latency::default()), clock)
     }
 
     fn volts(seq: u64, volts: f64) -> Command {

@@ -153,7 +153,6 @@ mod tests {
             let end = pace.arrival_s(begin);
             pace.delivery_s(end, 10) - begin
         });
-        let late = taken.filter(|taken_s| *taken_s > 0.03).count();
-        assert_eq!(late, 10);
+        assert_eq!(taken.filter(|taken_s| *taken_s > 0.03).count(), 10);
     }
 }

@@ -30,8 +30,7 @@ fn pty(link: Protocol, baud: u32) -> ServerHandle {
 }
 
 fn network(link: Protocol) -> ServerHandle {
-    let address = "127.0.0.1:0".parse().unwrap();
-    spawn(config(0), 1, link, Endpoint::Tcp(address)).unwrap()
+    spawn(config(0), 1, link, Endpoint::Tcp("127.0.0.1:0".parse().unwrap())).unwrap()
 }
 
 fn runtime() -> tokio::runtime::Runtime {
@@ -128,8 +127,7 @@ fn a_second_session_works_and_gets_no_stale_bytes() {
     let mut first = open(&server);
     exchange(&mut first, volts(1, 6.0));
     // A request whose answer nobody reads.
-    let request = rtu_frame(&exchange_pdu(volts(2, 6.0)));
-    first.write_all(&request).unwrap();
+    first.write_all(&rtu_frame(&exchange_pdu(volts(2, 6.0)))).unwrap();
     wait_until(|| server.answers() >= 2);
     drop(first);
     for session in 2..5_u16 {
@@ -230,8 +228,7 @@ fn of_several_tcp_hosts_one_commands_and_all_read() {
         drop(first);
         tokio::time::sleep(Duration::from_millis(50)).await;
         second.write_multiple_registers(32, &two).await.unwrap().unwrap();
-        let words = second.read_holding_registers(0, 16).await.unwrap().unwrap();
-        assert_eq!(words[2], 6);
+        assert_eq!(second.read_holding_registers(0, 16).await.unwrap().unwrap()[2], 6);
     });
 }
 

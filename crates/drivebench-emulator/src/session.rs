@@ -213,8 +213,7 @@ impl Session {
 fn deliver(counters: &Counters, port: &mut dyn Port, answer: &[u8]) {
     // Counted first: who has the answer also finds it counted.
     counters.answers.fetch_add(1, Ordering::Relaxed);
-    let taken = port.write(answer);
-    let dropped = answer.len() - taken;
+    let dropped = answer.len() - port.write(answer);
     counters.bytes_dropped.fetch_add(u64::try_from(dropped).unwrap_or(0), Ordering::Relaxed);
 }
 

@@ -68,8 +68,7 @@ fn the_rate_of_false_alarms_is_the_stated_one() {
         let alarms = (0..4000).filter(&mut is_alarm).count();
         // 40 of 4,000 are stated; more than 65 happens to that once in 10,000. Naming nothing would keep the level too.
         let least = if (before, after) == (1, 1) { 18 } else { 0 };
-        let is_level = (least..=65).contains(&alarms);
-        assert!(is_level, "{alarms} with {before} and {after} runs");
+        assert!((least..=65).contains(&alarms), "{alarms} with {before} and {after} runs");
     }
 }
 
@@ -203,8 +202,7 @@ fn two_hundred_machines_show_the_dry_bearing_and_nothing_else() {
         let mut rng = ChaCha8Rng::seed_from_u64(machine);
         let mut motor = Motor::zk_22fc();
         for key in KEYS {
-            let value = motor.get(key).unwrap();
-            motor.set(key, value * rng.random_range(0.9..1.1));
+            motor.set(key, motor.get(key).unwrap() * rng.random_range(0.9..1.1));
         }
         let before = [identified(&motor, 10_000 + machine)];
         let same = compared(&before, &identified(&motor, 20_000 + machine));

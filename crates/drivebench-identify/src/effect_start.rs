@@ -248,10 +248,8 @@ mod tests {
             ("load_step", vec![0.12, 2.4], 1, 0.02),
             ("stribeck_friction", vec![0.15, 20.0], 1, 3.0),
         ] {
-            let truth = paper_with(id, &values);
-            let scenario = record(&truth);
-            let start = paper().with_effect(id).unwrap();
-            let starts = scan(&start, &scenario, &NOISE).unwrap();
+            let scenario = record(&paper_with(id, &values));
+            let starts = scan(&paper().with_effect(id).unwrap(), &scenario, &NOISE).unwrap();
             let fit = output_error::fit(&starts.models, &scenario, &NOISE).unwrap();
             let found = fit.model.effects[0].values[index].unwrap();
             assert!((found - values[index]).abs() <= within, "{id} {found}");

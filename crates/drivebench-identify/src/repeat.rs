@@ -167,8 +167,7 @@ mod tests {
     }
 
     fn open() -> Vec<ParameterEstimate> {
-        let open = verdict::unknown(MotorKey::Resistance, Reason::NotExcited, "at rest");
-        vec![open]
+        vec![verdict::unknown(MotorKey::Resistance, Reason::NotExcited, "at rest")]
     }
 
     fn combined(runs: &[Vec<ParameterEstimate>], joint: &[ParameterEstimate]) -> Repeated {

@@ -140,8 +140,7 @@ mod tests {
     fn starting_values_come_within_a_factor_that_the_fit_can_bridge() {
         let events = held([0.0, 0.3, 0.8, 1.5, 2.2, 3.0], [0.0, 20.0, -25.0, 60.0, -10.0, 35.0]);
         for period_s in [0.001, 0.01] {
-            let times = every(period_s, 4.0);
-            starts_near(&simulated(&paper(), Input::Voltage, events.clone(), times));
+            starts_near(&simulated(&paper(), Input::Voltage, events.clone(), every(period_s, 4.0)));
         }
         // Current and speed on rows of their own.
         let mut apart = record(&paper(), events, 0.005, 3.0, 1);

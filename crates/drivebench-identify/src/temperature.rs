@@ -101,8 +101,7 @@ mod tests {
         let columns = [Channel::Voltage, Channel::Current, Channel::Speed];
         let mut run = run_of(times.clone(), columns.map(|channel| (channel, times.clone())));
         if let Some(temperature) = temperature {
-            let values = times.iter().map(|t| temperature(*t)).collect();
-            put(&mut run, Channel::Temperature, values);
+            put(&mut run, Channel::Temperature, times.iter().map(|t| temperature(*t)).collect());
         }
         let scenario = Scenario::from_run(&run).unwrap();
         (run, scenario)

@@ -281,8 +281,7 @@ pub(super) fn assert_near(found: f64, truth: f64, within: f64) {
 /// Within a relative distance of the truth, and within four of its own deviations.
 #[track_caller]
 pub(super) fn assert_found(parameters: &[ParameterEstimate], key: &str, truth: f64, within: f64) {
-    let found = of(parameters, key);
-    assert_covers(found, truth, within, 4.0);
+    assert_covers(of(parameters, key), truth, within, 4.0);
 }
 
 /// Within a relative distance of the truth, and within so many of its own deviations.

@@ -12,8 +12,7 @@ pub(super) const SETTLED_EFFECT: f64 = 0.1;
 
 /// Relative standard deviation below which the parameter of this key is settled.
 pub(super) fn settled_below(key: &str) -> f64 {
-    let of_motor = MotorKey::from_key(key).is_some();
-    if of_motor { SETTLED } else { SETTLED_EFFECT }
+    if MotorKey::from_key(key).is_some() { SETTLED } else { SETTLED_EFFECT }
 }
 
 /// Makes a parameter not observable.

@@ -101,8 +101,7 @@ impl LineBudget {
     }
 
     fn of_frames(settings: &LinkSettings, frames: &[(usize, usize)]) -> Self {
-        let with_gaps = settings.protocol.is_modbus();
-        let line = LineTiming::serial(settings, settings.baud, with_gaps);
+        let line = LineTiming::serial(settings, settings.baud, settings.protocol.is_modbus());
         let line = MeasuredLine {
             baud: settings.baud,
             framing: settings.framing,
@@ -307,8 +306,7 @@ mod tests {
     fn a_drive_with_a_map_is_reckoned_with_its_own_requests() {
         let mut profile = DriveProfile::named("epulse50-dc").unwrap();
         profile.link.protocol = Protocol::ModbusRtu;
-        let map = profile.registers.clone().unwrap();
-        let reads = plan_reads(&map, PollRate::Fast).len();
+        let reads = plan_reads(&profile.registers.clone().unwrap(), PollRate::Fast).len();
         let budget = LineBudget::of(&profile).unwrap();
         assert_eq!(budget.exchanges, reads + 1);
         let one =

@@ -166,10 +166,8 @@ pub(super) struct LineBus<L> {
 
 impl<L: Language> LineBus<L> {
     pub(super) fn new(language: L, mut exchange: Exchange, map: &RegisterMap) -> Self {
-        let is_exact = |block: &ReadBlock| {
-            let whole = (block.read.address, block.read.count);
-            map.exact_reads.contains(&whole)
-        };
+        let is_exact =
+            |block: &ReadBlock| map.exact_reads.contains(&(block.read.address, block.read.count));
         // Cells that can be read in any number up to the whole, for the length code.
         let blocks = plan_reads(map, PollRate::Fast).into_iter();
         let place = blocks.filter(|block| !is_exact(block)).max_by_key(|block| block.read.count);

@@ -426,7 +426,6 @@ mod tests {
             assert!(tally.statistics.balances());
         }
         let s = tally.statistics;
-        let counts = (s.sent, s.ok, s.stale, s.mismatch, s.aborted);
-        assert_eq!(counts, (8, 1, 1, 2, 1));
+        assert_eq!((s.sent, s.ok, s.stale, s.mismatch, s.aborted), (8, 1, 1, 2, 1));
     }
 }

@@ -53,25 +53,16 @@ fn properties(signal: &Signal) -> String {
     let keys = &signal.keys;
     let sign = if signal.is_signed() { "signed" } else { "no sign" };
     let mut parts = vec![keys.origin.unwrap_or_default().name().to_owned(), sign.to_owned()];
-    if let Some(side) = keys.side {
-        parts.push(format!("{} side", side.name()));
-    }
-    if let Some(basis) = keys.basis {
-        parts.push(basis.name().to_owned());
-    }
-    if let Some(pairs) = keys.pole_pairs {
-        parts.push(format!("by {pairs} pole pairs"));
-    }
+    parts.extend(keys.side.map(|side| format!("{} side", side.name())));
+    parts.extend(keys.basis.map(|basis| basis.name().to_owned()));
+    parts.extend(keys.pole_pairs.map(|pairs| format!("by {pairs} pole pairs")));
     for (what, time_ms) in [("filter", keys.filter_ms), ("update", keys.update_ms)] {
         let not_given = || format!("{what} not given");
         parts.push(time_ms.map_or_else(not_given, |ms| format!("{what} {ms} ms")));
     }
-    if keys.since_last_read {
-        parts.push("mean since the last read".to_owned());
-    }
-    if keys.trust == Some(Trust::Unverified) {
-        parts.push("unverified".to_owned());
-    }
+    parts.extend(keys.since_last_read.then(|| "mean since the last read".to_owned()));
+    let is_unverified = keys.trust == Some(Trust::Unverified);
+    parts.extend(is_unverified.then(|| "unverified".to_owned()));
     format!("{} ({})", parts.join(", "), signal.name)
 }
 

@@ -136,8 +136,7 @@ impl<L: Language> OwnLink<L> {
         self.exchange.filter.expect(Echo { at, bytes: travels.seq.to_be_bytes() });
         let (request, reply) = cycle_bytes(self.exchange.kind);
         let allowed = self.exchange.core.timing.allowed(request, reply);
-        let block = travels.to_registers();
-        let answer = self.call(command_turn(&block), "the command", allowed, true);
+        let answer = self.call(command_turn(&travels.to_registers()), "the command", allowed, true);
         let answer = answer.and_then(|answer| self.decoded(answer));
         let failed_in_a_row = self.failed_in_a_row.saturating_add(1);
         self.failed_in_a_row = if answer.is_ok() { 0 } else { failed_in_a_row };

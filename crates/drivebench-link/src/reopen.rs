@@ -205,8 +205,7 @@ mod tests {
         let reason = "its serial number is \"2\", before it was \"1\"";
         assert_eq!(other.as_deref(), Some(reason));
         let software = changed(|now| now.is_emulator = true);
-        let reason = "it is software, before it was hardware";
-        assert_eq!(software.as_deref(), Some(reason));
+        assert_eq!(software.as_deref(), Some("it is software, before it was hardware"));
     }
 
     #[test]

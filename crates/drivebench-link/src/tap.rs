@@ -476,8 +476,7 @@ mod tests {
             tap.sent(&[1, 2, 0]);
         }
         let error = file.finish().unwrap_err();
-        let expected = "full.pcap: the capture is not complete";
-        assert!(error.starts_with(expected), "{error}");
+        assert!(error.starts_with("full.pcap: the capture is not complete"), "{error}");
     }
 
     fn split(splitting: Splitting, pieces: &[&[u8]]) -> Vec<Vec<u8>> {

@@ -169,8 +169,7 @@ mod tests {
         assert_eq!(now(), begun + soon / 2);
         assert_eq!(waiting.until(begun + late, arrival.as_mut()), Some(()));
         assert_eq!(now(), begun + soon);
-        let never = std::future::pending::<()>();
-        assert_eq!(waiting.until(begun + late, never), None);
+        assert_eq!(waiting.until(begun + late, std::future::pending::<()>()), None);
         assert_eq!(now(), begun + late);
     }
 }

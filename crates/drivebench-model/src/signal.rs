@@ -146,8 +146,7 @@ mod tests {
 
     #[test]
     fn a_held_signal_is_read_in_pieces_from_any_instant_on() {
-        let at = [-1.0, 0.0, 1.5].map(|t| held(&STEPS, t));
-        assert_eq!(at, [None, Some(5.0), Some(6.0)]);
+        assert_eq!([-1.0, 0.0, 1.5].map(|t| held(&STEPS, t)), [None, Some(5.0), Some(6.0)]);
         let between = |from_s, to_s| pieces(&STEPS, from_s, to_s).collect::<Vec<_>>();
         assert_eq!(between(0.5, 2.5), [(0.5, 5.0), (1.0, 6.0), (0.5, 7.0)]);
         assert_eq!(between(-1.0, 0.5), [(1.5, 5.0)]);

@@ -589,8 +589,7 @@ impl Task<'_> {
             "pole placement: natural frequency {natural:.3} rad/s ({frequency_times_small} over the small time constant of {:.2} ms), damping {damping}: Kp = {proportional:.4}, Tn = {integral_time_s:.4} s; the reference passes a filter of Tn",
             1e3 * small_time_s
         );
-        let gains = [proportional, integral_time_s, integral_time_s];
-        Found::new(gains, small_time_s, reason)
+        Found::new([proportional, integral_time_s, integral_time_s], small_time_s, reason)
     }
 
     /// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
@@ -615,8 +614,7 @@ impl Task<'_> {
             "symmetrical optimum with a = {a}: Kp = 1 / (a k Ts) = {proportional:.4}, Tn = a^2 Ts = {integral_time_s:.4} s with the small time constant Ts = {:.2} ms; the reference passes a filter of Tn",
             1e3 * small_time_s
         );
-        let gains = [proportional, integral_time_s, integral_time_s];
-        Ok(Found::new(gains, small_time_s, reason))
+        Ok(Found::new([proportional, integral_time_s, integral_time_s], small_time_s, reason))
     }
 }
 

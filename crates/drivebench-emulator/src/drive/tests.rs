@@ -34,8 +34,7 @@ fn hold(drive: &mut SoftDrive, control: Control, time_s: f64) {
     let end = drive.time_s() + time_s;
     while drive.time_s() < end {
         send(drive, 7, control);
-        let next = (drive.time_s() + 0.01).min(end);
-        drive.advance_to(next);
+        drive.advance_to((drive.time_s() + 0.01).min(end));
     }
 }
 
@@ -117,8 +116,7 @@ fn a_command_is_stamped_with_the_tick_that_applied_it() {
     drive.advance_to(0.010_02);
     send(&mut drive, 300, Control::Voltage(12.0));
     let telemetry = drive.telemetry();
-    let stamps = (telemetry.seq, telemetry.applied_us, telemetry.time_us);
-    assert_eq!(stamps, (300, 10_050, 10_050));
+    assert_eq!((telemetry.seq, telemetry.applied_us, telemetry.time_us), (300, 10_050, 10_050));
     assert!((telemetry.voltage_cmd_v - 12.0).abs() < 1e-12);
     let off_v = telemetry.voltage_v - 12.0;
     assert!(off_v.abs() < 0.1, "sampled after it was applied");

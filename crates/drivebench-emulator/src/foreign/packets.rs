@@ -363,8 +363,7 @@ mod tests {
         let mut damaged = duty.clone();
         damaged[6] ^= 1;
         let values = bytes_of("02 05 32 04 39 81 E0 0C 2F 03");
-        let sent = [&[3, 2, 9][..], &duty, &damaged, &values].concat();
-        let answered = answers(&mut vesc, &sent);
+        let answered = answers(&mut vesc, &[&[3, 2, 9][..], &duty, &damaged, &values].concat());
         assert_eq!(answered.len(), 1, "a duty has no answer");
         assert_eq!(answered[0][2..7], values[2..7], "the mask as it came");
         assert_eq!(answered[0].len(), 36);
@@ -412,8 +411,7 @@ mod tests {
         assert_eq!(answers(&mut servo, &write(98, 0))[0][8], 0);
         assert_eq!(answers(&mut servo, &goal)[0][8], 0);
         // Another id, and an address that is not there.
-        let other = bytes_of("FF FF FD 00 02 03 00 01 19 72");
-        assert!(answers(&mut servo, &other).is_empty());
+        assert!(answers(&mut servo, &bytes_of("FF FF FD 00 02 03 00 01 19 72")).is_empty());
         assert_eq!(answers(&mut servo, &write(200, 1))[0][8], 7);
     }
 }

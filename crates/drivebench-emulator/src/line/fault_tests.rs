@@ -247,8 +247,7 @@ impl Outcome {
     /// One exchange, which says whether its value is what the drive meant.
     fn judge(&mut self, far: &Mutex<Observed>, exchange: impl FnOnce() -> Result<bool>) {
         let result = exchange();
-        let is_gone = matches!(result, Err(LinkError::Gone { .. }));
-        assert!(!is_gone, "{result:?}");
+        assert!(!matches!(result, Err(LinkError::Gone { .. })), "{result:?}");
         let tampered = far.lock().unwrap().tampered;
         let is_untouched = tampered == std::mem::replace(&mut self.tampered, tampered);
         self.collateral += u64::from(result.is_err() && is_untouched);
@@ -283,8 +282,7 @@ fn on_a_line(protocol: Protocol, faults: &[FaultEntry], count: u64, seed: u64) -
                 let sample = link.exchange(volts(seq))?;
                 let meant = meant.lock().unwrap();
                 let is_near = |channel, value: f64| {
-                    let found = sample.get(channel).unwrap_or(f64::NAN);
-                    (found - value).abs() < 0.006
+                    (sample.get(channel).unwrap_or(f64::NAN) - value).abs() < 0.006
                 };
                 let offset_s = meant.drive_time_s - sample.time_s;
                 let turns = (offset_s - *origin_s.get_or_insert(offset_s)) / TURN_S;
@@ -328,8 +326,7 @@ fn counted(protocol: Protocol, kind: FaultKind, s: &LinkStatistics) -> (u64, boo
 fn every_fault_is_counted_in_its_class_and_costs_one_exchange() {
     for protocol in [Protocol::ModbusRtu, Protocol::Stream] {
         let clean = on_a_line(protocol, &[], 2000, 1);
-        let found = (clean.wrong, clean.statistics.lost(), clean.tampered);
-        assert_eq!(found, (0, 0, 0), "{clean:?}");
+        assert_eq!((clean.wrong, clean.statistics.lost(), clean.tampered), (0, 0, 0), "{clean:?}");
         for (seed, kind) in (0..).zip(kinds_on(protocol)) {
             let outcome = on_a_line(protocol, &[fault(kind, SHARE)], 3000, seed);
             let s = &outcome.statistics;
@@ -545,8 +542,7 @@ fn a_line_that_babbles_is_given_up_in_time() {
 
 #[test]
 fn a_stop_is_repeated_until_the_drive_has_it() {
-    let kinds = [FaultKind::Silence];
-    with_faults(Protocol::ModbusRtu, &kinds, Some(0.1), |link, _| {
+    with_faults(Protocol::ModbusRtu, &[FaultKind::Silence], Some(0.1), |link, _| {
         link.stop().unwrap();
         assert!(link.statistics().timeout >= 1);
     });
@@ -605,8 +601,7 @@ fn raw_registers_are_read_and_a_refusal_has_its_name() {
     paused(|| {
         let far = Observed::new(Protocol::ModbusRtu, &[], 1);
         let meant = Arc::clone(&far.lock().unwrap().meant);
-        let settings = DriveProfile::named("own").unwrap().link;
-        let mut bus = bus_to(&map("fc08"), &settings, &far);
+        let mut bus = bus_to(&map("fc08"), &DriveProfile::named("own").unwrap().link, &far);
         let words = bus.read(ReadRequest::holding(900, 3)).unwrap().cells;
         assert_eq!(words, meant.lock().unwrap().registers(900, 3));
         let put = Put { function: 16, address: 64, cells: &[1] };

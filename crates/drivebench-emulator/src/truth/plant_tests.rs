@@ -11,8 +11,7 @@ fn hidden(id: &str, values: &[(&str, f64)]) -> HiddenEffect {
 }
 
 fn stribeck() -> HiddenEffect {
-    let values = [("stribeck_n_m", 0.16), ("stribeck_speed_rad_s", 10.0)];
-    hidden("stribeck_friction", &values)
+    hidden("stribeck_friction", &[("stribeck_n_m", 0.16), ("stribeck_speed_rad_s", 10.0)])
 }
 
 fn run(plant: &mut Plant, terminals: Terminals, time_s: f64, step_s: f64) {

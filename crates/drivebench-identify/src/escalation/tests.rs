@@ -107,8 +107,7 @@ fn stages(motor: &Motor, bounds: Bounds) -> Vec<Stage> {
 #[test]
 fn no_stage_goes_beyond_a_limit() {
     let tight = Bounds { voltage_limit_v: 9.0, current_limit_a: 9.0, ..bounds() };
-    let stuck = Motor::zk_22fc().with(MotorKey::LoadTorque, 2.0);
-    for stage in stages(&stuck, tight) {
+    for stage in stages(&Motor::zk_22fc().with(MotorKey::LoadTorque, 2.0), tight) {
         let is_within = stage.peak_v <= 9.0 && stage.stop_current_a < 9.0;
         assert!(is_within, "{stage:?}");
     }

@@ -322,9 +322,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         if is_missing || open.is_some_and(|(_, sign)| turns && now * sign > 0.0) {
             continue;
         }
-        if let Some((from, _)) = open.take() {
-            found.push(from..row);
-        }
+        found.extend(open.take().map(|(from, _)| from..row));
         open = turns.then(|| (row, now.signum()));
     }
     let seconds = |rows: &Range<usize>| time_s[rows.end - 1] - time_s[rows.start];

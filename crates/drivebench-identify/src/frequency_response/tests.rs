@@ -108,8 +108,7 @@ fn resonance_and_anti_resonance_are_found_with_their_damping() {
         let mode = |kind, pathway, is_last| mode(&all.modes, kind, pathway, is_last);
         let (resonance, voltage) = (ModeKind::Resonance, Pathway::VoltageToSpeed);
         // The mechanics by themselves: the coupling's own frequency; the load against a held motor.
-        let mechanics = mode(resonance, Pathway::CurrentToSpeed, false);
-        assert_mode(&mechanics, hertz, damping);
+        assert_mode(&mode(resonance, Pathway::CurrentToSpeed, false), hertz, damping);
         let held = (1.0 - ratio).sqrt();
         assert_mode(&mode(ModeKind::AntiResonance, voltage, false), hertz * held, damping * held);
         // Behind the winding: the poles of the whole.
@@ -197,8 +196,7 @@ fn unfit_records_are_refused_and_a_reversing_shaft_is_cautioned() {
 
 fn beside(truth: &Model, model: &Model, segment: Segment, seed: u64) -> Compared {
     let measured = [scenario(truth, segment, 500.0, seed)];
-    let simulated = of_model(model, &measured).unwrap();
-    compared(&measured, Some(&simulated)).unwrap()
+    compared(&measured, Some(&of_model(model, &measured).unwrap())).unwrap()
 }
 
 #[test]

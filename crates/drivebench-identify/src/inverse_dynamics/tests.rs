@@ -114,10 +114,8 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
 
 /// The run without its voltage: what a drive in torque or speed mode leaves.
 fn without_voltage(run: &Run) -> Run {
-    let left = [Channel::Current, Channel::Speed].map(|channel| {
-        let cells = run.column(channel).unwrap().to_vec();
-        (channel, cells)
-    });
+    let left = [Channel::Current, Channel::Speed]
+        .map(|channel| (channel, run.column(channel).unwrap().to_vec()));
     run_of(run.time_s().to_vec(), left)
 }
 

@@ -157,8 +157,7 @@ fn a_load_at_rest_is_known_within_the_friction_and_no_better() {
     let last = run.samples().filter_map(|sample| tracker.push(&sample)).last().unwrap();
     let is_open = (last.load_torque_n_m - 0.2).abs() < 3.0 * last.std_n_m && last.std_n_m > 0.2;
     assert!(is_open, "{last:?}");
-    let refused = load_torque_trace(&run, &model);
-    assert!(matches!(refused, Err(LoadError::NotObservable { .. })));
+    assert!(matches!(load_torque_trace(&run, &model), Err(LoadError::NotObservable { .. })));
 }
 
 #[test]

@@ -64,8 +64,7 @@ fn a_late_speed_is_no_settled_resistance() {
     put(&mut run, Channel::Speed, late);
     let found = honest(&run, &BRUSHED);
     // What the held levels say of it.
-    let resistance = judged(&found.parameters, KEYS[0].key(), Verdict::Searching);
-    assert_covers(resistance, 1.2, 0.05, 3.0);
+    assert_covers(judged(&found.parameters, KEYS[0].key(), Verdict::Searching), 1.2, 0.05, 3.0);
     let inertia = judged(&found.parameters, KEYS[3].key(), Verdict::Searching);
     assert_says(inertia, &["times the noise of"]);
 }
@@ -151,6 +150,5 @@ fn an_inertia_by_a_sampled_current_is_as_uncertain_as_the_samples() {
     let wide = found(Channel::Current, motor, &mut scenario);
     assert!((0.9..1.5).contains(&(wide / error)), "{wide} {error}");
     assert!(found(Channel::VoltageCmd, motor, &mut scenario) < 1e-12 * inertia);
-    let unknown = Motor::new("no armature");
-    assert!(found(Channel::Current, &unknown, &mut scenario) < 1e-12 * inertia);
+    assert!(found(Channel::Current, &Motor::new("no armature"), &mut scenario) < 1e-12 * inertia);
 }

@@ -105,8 +105,7 @@ fn nothing_free_and_nothing_measured_are_errors() {
     assert_eq!(refused, FitError::NothingFree);
     scenario.current_a.fill(f64::NAN);
     scenario.speed_rad_s.fill(f64::NAN);
-    let refused = predict(&truth, &scenario, &NOISE);
-    assert!(matches!(refused, Err(FitError::NothingMeasured { .. })));
+    assert!(matches!(predict(&truth, &scenario, &NOISE), Err(FitError::NothingMeasured { .. })));
 }
 
 /// Steps both ways and, before them, a dither about zero speed, which makes a shaft ring.
@@ -125,8 +124,7 @@ fn a_second_inertia_is_found_from_the_neighbour_on_the_grid() {
     let truth = [25.3, 0.47, 0.02, 0.35];
     let record = ringing(&paper_with("elastic_coupling", &truth), 4);
     // The motor as a fit without the effect leaves it.
-    let neighbour = paper_with("elastic_coupling", &[22.0, 0.55, 0.03, 0.5]);
-    let start = off_by(&neighbour, 1.1);
+    let start = off_by(&paper_with("elastic_coupling", &[22.0, 0.55, 0.03, 0.5]), 1.1);
     let fit = fit(&[start], &record, &NOISE).unwrap();
     let found = fit.model.effects[0].values_or_guess();
     for ((value, truth), within) in found.iter().zip(truth).zip([0.005, 0.02, 0.1, 0.1]) {
@@ -168,8 +166,7 @@ fn a_scale_that_no_current_tells_changes_no_residual() {
             (MotorKey::Inertia, -1.0),
             (MotorKey::LoadTorque, -1.0),
         ] {
-            let value = truth.motor.get(key).unwrap();
-            model.motor.set(key, value * factor.powf(over));
+            model.motor.set(key, truth.motor.get(key).unwrap() * factor.powf(over));
         }
         let problem = FreeRun::new(&model, &scenario, NOISE).unwrap();
         let mut out = vec![0.0; problem.residual_len()];

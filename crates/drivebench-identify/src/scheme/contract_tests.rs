@@ -48,8 +48,7 @@ const BIASED: [&str; 5] = ["1", "1-exact", "2", "2-rectangle", "step-response"];
 
 #[test]
 fn on_a_well_excited_run_inertia_is_found_by_every_scheme() {
-    let scenario = record(&paper(), steps(), 0.002, 6.5, 11);
-    let run = recorded(&scenario);
+    let run = recorded(&record(&paper(), steps(), 0.002, 6.5, 11));
     for scheme in CATALOGUE {
         let found = found_by(scheme, &run).expect("a rich run serves every scheme");
         holds_the_contract(&found, scheme);

@@ -108,8 +108,7 @@ mod tests {
         {
             let mut start = truth.clone();
             for (key, factor) in KEYS.into_iter().zip(factors) {
-                let value = truth.motor.get(key).unwrap();
-                start.motor.set(key, factor * value);
+                start.motor.set(key, factor * truth.motor.get(key).unwrap());
             }
             let data = Data {
                 run: &Run::new("r", scenario.sample_time_s.clone()).unwrap(),

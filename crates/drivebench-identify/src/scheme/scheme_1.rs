@@ -111,9 +111,8 @@ fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate
             "voltage and speed alone do not show it: give it in the model file",
         ),
     });
-    if let Some(value) = model.motor.get(MotorKey::TorqueConstant) {
-        parameters.push(fixed(MotorKey::TorqueConstant, value));
-    }
+    let given = model.motor.get(MotorKey::TorqueConstant);
+    parameters.extend(given.map(|value| fixed(MotorKey::TorqueConstant, value)));
     for parameter in &mut parameters {
         if let Some(key) = MotorKey::from_key(&parameter.key)
             && model.fixed.contains(&parameter.key)

@@ -134,8 +134,7 @@ fn at_one_time_constant_the_printed_form_errs_as_known() {
         let found = record.feed(Form::Printed).dynamics().unwrap();
         let errors =
             [off(found.ta_s, truth.ta_s) - ta, off(found.tm_s, truth.tm_s) - tm, off(found.ke, KE)];
-        let as_known = errors.iter().all(|error| error.abs() < 1.0);
-        assert!(as_known, "{ratio} {errors:?}");
+        assert!(errors.iter().all(|error| error.abs() < 1.0), "{ratio} {errors:?}");
     }
 }
 
@@ -165,8 +164,7 @@ fn at_constant_voltage_the_estimate_does_not_wind_up() {
     let after = record.feed_until(20_600, Form::Exact, 0.97);
     // Noise of the sensor alone moves Ta and TM at rest, but the prior never takes over.
     let spread = after.covariance().unwrap();
-    let small = (0..5).all(|j| spread[j][j].is_finite() && spread[j][j] < 1.0);
-    assert!(small, "{spread:?}");
+    assert!((0..5).all(|j| spread[j][j].is_finite() && spread[j][j] < 1.0), "{spread:?}");
     assert_near(after.dynamics().unwrap().ke, before.unwrap().ke, 0.1);
 }
 
@@ -207,8 +205,7 @@ fn coefficients_of_no_motor_are_rejected_with_the_reason() {
         assert!(!error.help().is_empty());
     }
     let empty = Scheme1::new(Form::Exact, 0.02, 1.0).dynamics();
-    let too_few = matches!(empty, Err(Scheme1Rejection::TooFewRows { rows: 0, .. }));
-    assert!(too_few, "{empty:?}");
+    assert!(matches!(empty, Err(Scheme1Rejection::TooFewRows { rows: 0, .. })), "{empty:?}");
     for resistance in [0.0, -1.0, f64::NAN] {
         assert!(matches!(SLOW.values(resistance, None), Err(Scheme1Rejection::Resistance { .. })));
     }

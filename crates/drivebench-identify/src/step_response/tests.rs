@@ -3,8 +3,7 @@ use crate::testing::{assert_says, covers, judged, of, paper, record, unknown};
 
 fn step(volts: f64, period_s: f64, held_s: f64, seed: u64) -> Scenario {
     let events = vec![(0.0, 0.0), (0.3, volts), (0.3 + held_s, 0.0)];
-    let truth = paper();
-    record(&truth, events, period_s, 0.6 + held_s, seed)
+    record(&paper(), events, period_s, 0.6 + held_s, seed)
 }
 
 const TRUTH: [(&str, f64, f64); 7] = [
@@ -22,8 +21,7 @@ fn one_step_gives_crude_values_with_intervals_that_hold() {
     let (mut inside, mut all) = (0, 0);
     for seed in 0..20 {
         let volts = [60.0, -40.0, 25.0, -90.0][usize::try_from(seed % 4).unwrap()];
-        let run = step(volts, 0.001, 0.5, seed);
-        let (parameters, notes) = estimates(&unknown(), &run);
+        let (parameters, notes) = estimates(&unknown(), &step(volts, 0.001, 0.5, seed));
         for (key, truth, within) in TRUTH {
             let parameter = judged(&parameters, key, Verdict::Searching);
             let near = (parameter.value.unwrap() / truth - 1.0).abs() < within;
@@ -56,8 +54,7 @@ fn without_a_current_only_the_time_constants_are_found() {
 
 #[test]
 fn coarse_samples_lose_the_electrical_half() {
-    let run = step(60.0, 0.01, 0.8, 4);
-    let (parameters, _) = estimates(&unknown(), &run);
+    let (parameters, _) = estimates(&unknown(), &step(60.0, 0.01, 0.8, 4));
     let tm = of(&parameters, "mechanical_time_constant_s");
     assert!((tm.value.unwrap() / 0.039_54 - 1.0).abs() < 0.15, "{tm:?}");
     let resistance = of(&parameters, "resistance_ohm");

@@ -35,8 +35,7 @@ pub(super) fn packet(id: u8, body: &[u8]) -> Vec<u8> {
     }
     let length = u16::try_from(stuffed.len() + 2).unwrap_or(u16::MAX).to_le_bytes();
     let packet = [&HEADER[..], &[id], &length, &stuffed].concat();
-    let crc = checksum(&packet).to_le_bytes();
-    [&packet[..], &crc].concat()
+    [&packet[..], &checksum(&packet).to_le_bytes()].concat()
 }
 
 /// Id and body of the packet at the start of these bytes, without what was stuffed, and its length with all around it.

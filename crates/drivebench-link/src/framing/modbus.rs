@@ -262,8 +262,7 @@ mod tests {
         let chance = rtu(&command, &[&[0xFF, 0xFF, 0, 0, 0]], false);
         assert_eq!((chance.reply, chance.foreign), (None, 0));
         let misfit = rtu(&command, &[&frame(1, &[23, 6, 1, 2, 3, 4, 5, 6])], false);
-        let found = (misfit.reply, misfit.foreign, misfit.foreign_writes);
-        assert_eq!(found, (None, 1, 0));
+        assert_eq!((misfit.reply, misfit.foreign, misfit.foreign_writes), (None, 1, 0));
     }
 
     #[test]
@@ -312,8 +311,7 @@ mod tests {
             frame(1, &[6, 0, 0, 0, 2]),
         ] {
             let search = rtu(&request, &[&other], false);
-            let found = (search.reply, search.foreign + search.old.len());
-            assert_eq!(found, (None, 1), "{other:?}");
+            assert_eq!((search.reply, search.foreign + search.old.len()), (None, 1), "{other:?}");
             let search = rtu(&request, &[&other, &reply], false);
             assert_eq!(search.reply, Some((other.len(), other.len() + 9)));
         }

@@ -221,15 +221,13 @@ impl Points {
         let bus = &mut **bus;
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else {
-            let text = format!("the profile has no setpoint {name:?}");
-            return Err(refused(bus, text));
+            return Err(refused(bus, format!("the profile has no setpoint {name:?}")));
         };
         let encoded = |value: f64| {
             let raw = point.numbers.raw(value, readings.factor(&point.numbers.scale_by)?);
             point.location.layout.encode(raw)
         };
-        let has_sign = point.keys.sign.is_some();
-        let magnitude = if has_sign { value.abs() } else { value };
+        let magnitude = if point.keys.sign.is_some() { value.abs() } else { value };
         let Some(mut cells) = encoded(magnitude) else {
             let unit = point.numbers.unit.name();
             let text = format!("setpoint {name} = {value} {unit} does not fit its register");

@@ -121,20 +121,13 @@ impl Change {
     /// As it would stand in the profile.
     fn text(self, layout: Layout) -> String {
         let other = self.apply(layout);
-        let mut parts = Vec::new();
-        if self.shift != 0 {
-            parts.push(shift_text(self.shift).to_owned());
-        }
-        if self.words {
-            parts.push(format!("word_order = \"{}\"", other.words.name()));
-        }
-        if self.bytes {
-            parts.push(format!("byte_order = \"{}\"", other.bytes.name()));
-        }
-        if self.sign {
-            parts.push(format!("type = \"{}\"", other.kind.name()));
-        }
-        parts.join(" and ")
+        let parts = [
+            (self.shift != 0).then(|| shift_text(self.shift).to_owned()),
+            self.words.then(|| format!("word_order = \"{}\"", other.words.name())),
+            self.bytes.then(|| format!("byte_order = \"{}\"", other.bytes.name())),
+            self.sign.then(|| format!("type = \"{}\"", other.kind.name())),
+        ];
+        parts.into_iter().flatten().collect::<Vec<String>>().join(" and ")
     }
 }
 

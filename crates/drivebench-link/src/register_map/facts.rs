@@ -137,8 +137,7 @@ impl Signal {
 
     /// Whether its sign is the direction.
     pub fn is_signed(&self) -> bool {
-        let of_type = self.location.layout.kind.is_signed();
-        self.keys.signed.unwrap_or(of_type)
+        self.keys.signed.unwrap_or(self.location.layout.kind.is_signed())
     }
 }
 

@@ -740,8 +740,7 @@ fn clock_fits(keys: &SignalKeys, layout: Layout) -> Result<(), (&'static str, St
         ("offset", keys.offset.is_some()),
     ] {
         if is_there {
-            let message = format!("a clock has no {key}: each of its counts is a time");
-            return Err((key, message));
+            return Err((key, format!("a clock has no {key}: each of its counts is a time")));
         }
     }
     let count_s = keys.scale.unwrap_or(1.0) * keys.unit.seconds().unwrap_or(1.0);

@@ -62,8 +62,7 @@ fn addresses_are_those_of_the_sources() {
         ("roboteq-dc", "current", 0x2001),
         ("delta-ms300", "status", 0x2101),
     ] {
-        let found = map(name).signal(signal).unwrap().location.address;
-        assert_eq!(found, address, "{name} {signal}");
+        assert_eq!(map(name).signal(signal).unwrap().location.address, address, "{name} {signal}");
     }
     for (name, signal) in [("roboteq-dc", "speed"), ("vacon10", "torque")] {
         let table = map(name).signal(signal).unwrap().location.table;
@@ -171,8 +170,7 @@ byte = \"low\"
 quantity = \"status\"
 poll = \"fast\"
 ";
-    let map = RegisterMap::parse("lenze", &text).unwrap();
-    let blocks = plan_reads(&map, PollRate::Fast);
+    let blocks = plan_reads(&RegisterMap::parse("lenze", &text).unwrap(), PollRate::Fast);
     assert_eq!(blocks.len(), 2);
     assert_eq!(blocks[0].read, ReadRequest::holding(0x18, 6));
     assert_eq!(blocks[0].signals.len(), 2);

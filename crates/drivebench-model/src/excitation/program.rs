@@ -164,8 +164,7 @@ mod tests {
     #[test]
     fn parts_follow_each_other_under_one_slew_limit() {
         let rest = Segment::Standstill(Standstill { seconds: 0.5 });
-        let parts = [rest, steps(&[10.0, -10.0]), steps(&[5.0])];
-        let program = Program::new(&parts, 100.0).unwrap();
+        let program = Program::new(&[rest, steps(&[10.0, -10.0]), steps(&[5.0])], 100.0).unwrap();
         assert_volts(&program, &[(-1.0, 0.0), (0.25, 0.0), (0.55, 5.0), (0.7, 10.0)]);
         assert_volts(&program, &[(1.1, 0.0), (1.3, -10.0), (1.65, 5.0), (2.025, 2.5)]);
         assert_volts(&program, &[(2.05, 0.0), (9.0, 0.0), (f64::NAN, 0.0)]);
@@ -180,8 +179,7 @@ mod tests {
     #[test]
     fn a_coast_down_switches_off_and_the_next_part_begins_at_zero() {
         let coast = Segment::CoastDown(CoastDown { seconds: 1.0 });
-        let parts = [steps(&[10.0]), coast, steps(&[10.0])];
-        let program = Program::new(&parts, 100.0).unwrap();
+        let program = Program::new(&[steps(&[10.0]), coast, steps(&[10.0])], 100.0).unwrap();
         assert_volts(&program, &[(0.499_999_999_9, 10.0), (1.55, 5.0)]);
         assert_eq!(program.value_at(0.5), Output::Coast);
         assert_eq!(Demand::from(program.value_at(1.2)), Demand::Disable);

@@ -141,8 +141,7 @@ mod tests {
             assert!(((at(octave + 1) - at(octave)) / expected - 1.0).abs() < 1e-12);
         }
         for periods in [0.1, 3.0, 200.0] {
-            let again = sweep.periods_at(sweep.time_of(periods));
-            assert!((again / periods - 1.0).abs() < 1e-12);
+            assert!((sweep.periods_at(sweep.time_of(periods)) / periods - 1.0).abs() < 1e-12);
         }
         for (from_hz, to_hz) in [(2.0, 1.0), (0.0, 1.0), (0.1, 1.0), (1.0, 1e6)] {
             assert!(chirp(from_hz, to_hz, 5.0).check().is_err());

@@ -159,10 +159,8 @@ mod tests {
 
     #[test]
     fn white_noise_passes_the_ljung_box_test_a_moving_mean_fails() {
-        let statistic = |values: &[f64]| {
-            let correlations = autocorrelation(values, 25);
-            ljung_box_statistic(&correlations, values.len())
-        };
+        let statistic =
+            |values: &[f64]| ljung_box_statistic(&autocorrelation(values, 25), values.len());
         let white = noise(1, 2000);
         assert!(statistic(&white) < ljung_box_limit(25, 0.01));
         let filtered: Vec<f64> = white.windows(3).map(|w| w.iter().sum()).collect();

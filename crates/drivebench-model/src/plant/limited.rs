@@ -217,8 +217,7 @@ mod tests {
         let (run, commands) = ramp();
         let (events, reached) = applied(&run, &commands);
         assert_eq!(reached, [], "no current was measured");
-        let grows = events.windows(2).all(|pair| pair[0].0 < pair[1].0);
-        assert!(grows, "{events:?}");
+        assert!(events.windows(2).all(|pair| pair[0].0 < pair[1].0), "{events:?}");
         // Inside: 38 to 40 to 42 V; the command was 40 to 60 V.
         assert_held(&events, &[(0.0451, 39.0), (0.0551, 41.0), (0.0651, 43.0)], 0.1);
         // Before the line crosses it, and after the release, the command holds.

@@ -212,8 +212,7 @@ struct Reader<'a> {
 impl Reader<'_> {
     /// An error at the first line from byte `from` on that assigns `key`.
     fn error(&self, from: usize, key: &str, message: &str) -> ConfigError {
-        let help = "see bench-configs/motors for a commented example";
-        self.at(self.find(from, key), message, help)
+        self.at(self.find(from, key), message, "see bench-configs/motors for a commented example")
     }
 
     fn at(&self, offset: usize, message: &str, help: impl Into<String>) -> ConfigError {
@@ -427,8 +426,7 @@ stribeck_n_m = 0.2
         assert_eq!(again.model.fixed, file.model.fixed);
         assert_eq!(again.history, file.history);
         assert_eq!(again.model.effects[1].values, vec![Some(0.2), None]);
-        let line = "inertia_kg_m2 = 0.0045  # +- 2e-6 kg.m2";
-        assert!(file.to_toml().contains(line));
+        assert!(file.to_toml().contains("inertia_kg_m2 = 0.0045  # +- 2e-6 kg.m2"));
     }
 
     const DEFINED: &str = r#"[motor]

@@ -250,13 +250,11 @@ mod tests {
     #[test]
     fn the_response_is_the_time_constant_of_the_motor_under_any_excitation() {
         let model = Model::baseline(Motor::zk_22fc());
-        let holds = [0.02, 0.05, 0.2, 0.6];
-        for hold_s in holds {
+        for hold_s in [0.02, 0.05, 0.2, 0.6] {
             let levels = [80.0, -60.0, 30.0, 90.0, -20.0, 0.0, -90.0].into_iter().cycle();
             let events = (0..).map(|step| hold_s * f64::from(step)).zip(levels);
             let events = events.take_while(|event| event.0 < 8.0).collect();
-            let run = record(&model, events, 4e-3, 8.0, 3);
-            let ratio = RunScales::of(&run).response_s / 0.042;
+            let ratio = RunScales::of(&record(&model, events, 4e-3, 8.0, 3)).response_s / 0.042;
             assert!((0.8..1.3).contains(&ratio), "{hold_s}: {ratio}");
         }
     }

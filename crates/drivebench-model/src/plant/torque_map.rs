@@ -251,8 +251,7 @@ mod tests {
     }
 
     fn friction() -> TorqueMap {
-        let torques = [None, Some(-1.0), Some(1.0), Some(2.0)];
-        map(MappedTorque::Friction, -20.0, 20.0, torques)
+        map(MappedTorque::Friction, -20.0, 20.0, [None, Some(-1.0), Some(1.0), Some(2.0)])
     }
 
     fn cogging() -> TorqueMap {
@@ -279,8 +278,7 @@ mod tests {
         for nothing in [0.0, -15.0, 20.1, -30.0, f64::NAN] {
             assert_eq!(map.at(nothing), None, "{nothing}");
         }
-        let counts = (map.known(), map.differ(), map.largest_n_m());
-        assert_eq!(counts, (3, 3, 2.0));
+        assert_eq!((map.known(), map.differ(), map.largest_n_m()), (3, 3, 2.0));
     }
 
     #[test]

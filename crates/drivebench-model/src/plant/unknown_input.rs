@@ -731,13 +731,11 @@ mod tests {
         assert_eq!(holes(&chirp, true, repeats), []);
         let stamps = |row: usize| (row as f64 + 0.4 * (1.7 * row as f64).sin()) * 9e-3;
         let kept = (0..3000).filter(|row| row % 10 != 0);
-        let irregular = kept.map(|row| (stamps(row), values[row]));
-        assert_eq!(holes_of(irregular, 9e-3), []);
+        assert_eq!(holes_of(kept.map(|row| (stamps(row), values[row])), 9e-3), []);
         // Commands on rows of their own.
         let fast = switched(1);
         let kept = (0..3000).filter(|row| row % 10 != 3);
-        let commands = kept.map(|row| (0.01 * row as f64, fast[row]));
-        assert_eq!(holes_of(commands, 1e-3), []);
+        assert_eq!(holes_of(kept.map(|row| (0.01 * row as f64, fast[row])), 1e-3), []);
         // Irregular loops of whole milliseconds: times between rows in ms, and how often of a hundred.
         for steps in [
             &[(2, 89), (12, 10), (3, 1)][..],

@@ -123,8 +123,7 @@ mod tests {
         let text = "  held-out error 2.82 -> 2.74 times the noise aaaaaaaaaaaaaaaaaaaaaaaaa";
         for width in 1..80 {
             let rows = wrapped(text, width);
-            let fits = rows.iter().all(|row| row.chars().count() <= width);
-            assert!(fits, "{rows:?}");
+            assert!(rows.iter().all(|row| row.chars().count() <= width), "{rows:?}");
             let joined: String = rows.concat().split_whitespace().collect();
             assert_eq!(joined, text.split_whitespace().collect::<String>());
         }

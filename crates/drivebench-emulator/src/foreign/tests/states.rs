@@ -20,8 +20,7 @@ fn local_control_ends_a_run_and_blocks_set_points() {
     let sample = table.drive(REFERENCE, 0.5);
     assert_eq!(sample.hindrance, None);
     table.far().take_local(true);
-    let sample = table.run(REFERENCE).unwrap();
-    assert_eq!(sample.hindrance, Some(Hindrance::LocalControl));
+    assert_eq!(table.run(REFERENCE).unwrap().hindrance, Some(Hindrance::LocalControl));
     // From here on whoever asks for a run gets nothing written, and is told why.
     for _ in 0..50 {
         let _ = table.run(REFERENCE);
@@ -39,8 +38,7 @@ fn local_control_ends_a_run_and_blocks_set_points() {
 
 #[test]
 fn a_register_without_a_number_gives_no_value_and_never_zero() {
-    let as_float = [("type = \"i32\"", "type = \"f32\"")];
-    let mut table = Table::identified("leadshine-iem", &as_float);
+    let mut table = Table::identified("leadshine-iem", &[("type = \"i32\"", "type = \"f32\"")]);
     let speed = |table: &mut Table| table.rest().get(Channel::Speed);
     assert!(speed(&mut table).is_some());
     table.far().withhold(true);
@@ -89,8 +87,7 @@ fn a_busy_drive_is_polled_less_and_stopped_at_once() {
     table.far().refuse(Some(6));
     let before = table.link.statistics().exception;
     for _ in 0..100 {
-        let error = table.run(REFERENCE).unwrap_err();
-        assert!(matches!(error, LinkError::Exception { code: 6, .. }));
+        assert!(matches!(table.run(REFERENCE).unwrap_err(), LinkError::Exception { code: 6, .. }));
     }
     let asked = table.link.statistics().exception - before;
     assert!((5..40).contains(&asked), "{asked} in 100 cycles");

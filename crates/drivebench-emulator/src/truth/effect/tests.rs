@@ -173,10 +173,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "field_change" => (m.flux_factor(&at) - 1.0, -5e-3 * 10.0, 0.085),
             "discontinuous_conduction" => (m.voltage_loss_v(0.5), 0.5, 0.01),
             "shaker" => (torque(m), 0.1 * (std::f64::consts::TAU * 46.0).sin(), 1e-9),
-            "torque_bump" => {
-                let there = Moment { speed_rad_s: -95.0, ..at };
-                (m.friction_n_m(&there), 0.12, 1e-9)
-            }
+            "torque_bump" => (m.friction_n_m(&Moment { speed_rad_s: -95.0, ..at }), 0.12, 1e-9),
             // Has no size at a point; its own test counts its spread.
             "random_load" => continue,
             "soft_drop" => (m.voltage_loss_v(0.6), 3.0 * 1.0_f64.tanh(), 1e-9),
@@ -209,8 +206,7 @@ fn a_second_inertia_rings_at_its_frequency_and_settles() {
         ("damping_ratio", 0.0),
         ("friction_split", 0.5),
     ];
-    let effect = hidden("elastic_coupling", &values);
-    let mut plant = Plant::new(motor, &[effect]);
+    let mut plant = Plant::new(motor, &[hidden("elastic_coupling", &values)]);
     let mut acceleration = Vec::new();
     for _ in 0..40_000 {
         let before = plant.speed_rad_s();

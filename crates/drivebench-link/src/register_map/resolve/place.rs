@@ -185,8 +185,7 @@ fn field(bit: u8, layout: Layout) -> Result<CellTable, Wrong> {
         mask.ok_or_else(|| ("field", format!("field {bit} is not allowed (expected 0 to 21)")))?;
     let (has, needs) = (fields_width(mask), layout.cells());
     if has != needs {
-        let message = format!("field {bit} has {has} bytes, and the type {needs}");
-        return Err(("type", message));
+        return Err(("type", format!("field {bit} has {has} bytes, and the type {needs}")));
     }
     Ok(CellTable::Fields(mask))
 }

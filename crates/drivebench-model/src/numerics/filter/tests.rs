@@ -111,8 +111,7 @@ fn the_spline_is_that_of_scipy_and_keeps_its_points() {
         -0.166_161_708_541_201_77,
         -0.963_050_301_644_229_6,
     ];
-    let found = spline(&points, &[0.4, 1.5, 2.5, 3.3, 4.9]);
-    close(&found, &expected, 1e-12);
+    close(&spline(&points, &[0.4, 1.5, 2.5, 3.3, 4.9]), &expected, 1e-12);
     close(&spline(&points, &times), &times.map(f64::sin), 1e-14);
     close(&spline(&points[..2], &[0.45]), &[0.5 * 0.9f64.sin()], 1e-14);
     assert!(spline(&[], &[1.0])[0].is_nan());

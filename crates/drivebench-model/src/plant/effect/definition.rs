@@ -65,14 +65,10 @@ pub(super) fn text_of<'a>(
 ) -> Result<&'a str, DefinitionError> {
     let (at, message) = match settings.get(key) {
         Some(toml::Value::String(text)) => return Ok(text),
-        Some(other) => {
-            let message = format!("{key} is a {}, expected a text", other.type_str());
-            (key, message)
-        }
+        Some(other) => (key, format!("{key} is a {}, expected a text", other.type_str())),
         None => ("id", format!("{key} is missing")),
     };
-    let help = format!("as {key} = {example:?}");
-    Err(DefinitionError::new(at, message, help))
+    Err(DefinitionError::new(at, message, format!("as {key} = {example:?}")))
 }
 
 pub(super) fn balance_of(settings: &toml::Table) -> Result<Balance, DefinitionError> {
@@ -81,8 +77,7 @@ pub(super) fn balance_of(settings: &toml::Table) -> Result<Balance, DefinitionEr
         "voltage" => Ok(Balance::Voltage),
         other => {
             let message = format!("equation {other:?} is not known");
-            let help = "torque or voltage";
-            Err(DefinitionError::new("equation", message, help))
+            Err(DefinitionError::new("equation", message, "torque or voltage"))
         }
     }
 }
@@ -91,10 +86,7 @@ pub(super) fn number_of(key: &str, value: &toml::Value) -> Result<f64, Definitio
     let (message, help) = match value.as_float().or(value.as_integer().map(|whole| whole as f64)) {
         Some(number) if number.is_finite() => return Ok(number),
         Some(number) => (format!("{key} = {number} is not allowed"), "a finite number"),
-        None => {
-            let message = format!("{key} is a {}, expected a number", value.type_str());
-            (message, "as 0.02")
-        }
+        None => (format!("{key} is a {}, expected a number", value.type_str()), "as 0.02"),
     };
     Err(DefinitionError::new(key, message, help))
 }

@@ -208,8 +208,7 @@ fn steep_effects_settle_on_a_motor_of_little_inductance() {
         };
         for (period_s, samples) in [(0.001, 450), (0.01, 45)] {
             let out = simulate(&model, &scenario(events.clone(), period_s, samples));
-            let expected = reference(&events, period_s, samples, 1e-6, &rates);
-            let [di, dw] = differences(&out, &expected);
+            let [di, dw] = differences(&out, &reference(&events, period_s, samples, 1e-6, &rates));
             assert!(di < 0.1 && dw < 0.5, "{effects:?} {period_s}: {di} {dw}");
         }
     }

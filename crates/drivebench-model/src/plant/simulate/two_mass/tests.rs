@@ -101,8 +101,7 @@ fn stiff_light_and_tight_shafts_are_their_limits() {
     assert!(difference(&single, &run_of([20.0, 0.5, 0.05, 0.4, 0.0])) > 1.0);
     // Without a gap backlash is an elastic coupling.
     let elastic = run_of([30.0, 0.5, 0.03, 0.4, 0.0]);
-    let without = run(&[("backlash", &[0.0, 30.0, 0.5, 0.03, 0.4])]);
-    assert_near(&without, &elastic, 1e-9);
+    assert_near(&run(&[("backlash", &[0.0, 30.0, 0.5, 0.03, 0.4])]), &elastic, 1e-9);
     assert_near(&run_of([30.0, 0.5, 0.03, 0.4, 1e-6]), &elastic, 1e-2);
     // A stiff shaft in a stiff circuit stays finite.
     let mut stiff = model(&[("elastic_coupling", &[200.0, 0.9, 1.0, 0.5])]);
@@ -134,8 +133,7 @@ fn there_is_one_second_inertia() {
         ("elastic_coupling", &[24.0, 0.5, 0.02, 0.5]),
         ("backlash", &[0.05, 24.0, 0.5, 0.02, 0.5]),
     ];
-    let refused = Plant::new(&model(both), Input::Voltage).err();
-    assert_eq!(refused, Some(ModelError::SecondCoupling));
+    assert_eq!(Plant::new(&model(both), Input::Voltage).err(), Some(ModelError::SecondCoupling));
 }
 
 /// A torque pulse on a motor with all friction on the load side: the trajectory, and the plant after it.
@@ -232,6 +230,5 @@ fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     for (speed, noise) in measured.speed_rad_s.iter_mut().zip([0.1, -0.1].into_iter().cycle()) {
         *speed += noise;
     }
-    let noisy = plant.predict_ahead(&measured, State::default(), 1);
-    assert_near(&free, &noisy, 0.8);
+    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1), 0.8);
 }
