@@ -169,10 +169,8 @@ impl Addc {
     fn mechanical_text(&self) -> String {
         let ratio = self.inertia_ratio();
         if self.is_settled() {
-            format!(
-                "TM = {:.4} s ({ratio:.3} times the model's inertia)",
-                ratio * self.model_mechanical_s
-            )
+            let mechanical_s = ratio * self.model_mechanical_s;
+            format!("TM = {mechanical_s:.4} s ({ratio:.3} times the model's inertia)")
         } else {
             "TM is not settled".to_owned()
         }

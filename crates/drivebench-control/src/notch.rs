@@ -30,12 +30,8 @@ impl Notch {
     }
 
     pub fn text(&self) -> String {
-        format!(
-            "notch at {:.1} Hz (damping {:.2}, leaves {:.0} %)",
-            self.frequency_hz,
-            self.damping_ratio,
-            100.0 * self.depth
-        )
+        let (hertz, damping, percent) = (self.frequency_hz, self.damping_ratio, 100.0 * self.depth);
+        format!("notch at {hertz:.1} Hz (damping {damping:.2}, leaves {percent:.0} %)")
     }
 
     /// Group delay at zero frequency, s.

@@ -53,15 +53,10 @@ fn taken(read: io::Result<usize>) -> Result<usize, Gone> {
     match read {
         Ok(0) => Err(Gone),
         Ok(count) => Ok(count),
-        Err(error)
-            if matches!(
-                error.kind(),
-                ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted
-            ) =>
-        {
-            Ok(0)
-        }
-        Err(_) => Err(Gone),
+        Err(error) => match error.kind() {
+            ErrorKind::WouldBlock | ErrorKind::TimedOut | ErrorKind::Interrupted => Ok(0),
+            _ => Err(Gone),
+        },
     }
 }
 

@@ -92,9 +92,9 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
             2 => "two quadrants: current flows one way only",
             _ => "four quadrants",
         };
+        let ms = converter.dead_time_ms;
         remarks.push(format!(
-            "thyristor bridge, {quadrants}; a command takes effect up to {} ms late",
-            converter.dead_time_ms
+            "thyristor bridge, {quadrants}; a command takes effect up to {ms} ms late"
         ));
         remarks.push(match (map.of_quantity(Quantity::FieldCurrent), map.field_min_a) {
             (Some(field), Some(least)) => {
@@ -135,10 +135,8 @@ pub fn remarks(profile: &DriveProfile) -> Vec<String> {
         );
     }
     if watchdog.keys.boot_delay_s > 0.0 {
-        remarks.push(format!(
-            "its watchdog is blind for {} s after power-up",
-            watchdog.keys.boot_delay_s
-        ));
+        let blind_s = watchdog.keys.boot_delay_s;
+        remarks.push(format!("its watchdog is blind for {blind_s} s after power-up"));
     }
     remarks
 }

@@ -235,12 +235,8 @@ impl DriveProfile {
                 note = format!("; unverified: {doubtful}");
             }
         }
-        format!(
-            "drive profile {}{title}: trust {}{note}; source: {}",
-            self.name,
-            self.trust.name(),
-            self.source
-        )
+        let (name, trust, source) = (&self.name, self.trust.name(), &self.source);
+        format!("drive profile {name}{title}: trust {trust}{note}; source: {source}")
     }
 }
 

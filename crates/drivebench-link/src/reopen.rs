@@ -116,11 +116,8 @@ impl Anchor {
         };
         let now = adapter(root, Path::new(path))?;
         (now != *before).then(|| {
-            format!(
-                "another adapter is at {path}: {}, before it was {}",
-                plate(&now),
-                plate(before)
-            )
+            let (now, before) = (plate(&now), plate(before));
+            format!("another adapter is at {path}: {now}, before it was {before}")
         })
     }
 }

@@ -575,37 +575,24 @@ mod tests {
         let mut cut_off = tcp(7, 1, &reply);
         cut_off[5] += 1;
         let (on_rtu, on_tcp) = (FrameKind::Rtu, FrameKind::Tcp);
+        let too_long = named(Length { found: 8, expected: 4 });
+        let numbered = |found| named(Transaction { found, expected: 7 });
         for (name, kind, received, expected) in [
             ("nothing", on_rtu, vec![], Leftover::Nothing),
             ("another unit", on_rtu, rtu(9, &reply), Leftover::Unexpected(Unit(9))),
             ("unit 0", on_rtu, rtu(0, &reply), Leftover::Unexpected(Unit(0))),
-            (
-                "registers of 32 bits",
-                on_rtu,
-                rtu(1, &wide),
-                named(Length { found: 8, expected: 4 }),
-            ),
+            ("registers of 32 bits", on_rtu, rtu(1, &wide), too_long),
             ("one less", on_rtu, rtu(1, &[3, 2, 0, 10]), named(Length { found: 2, expected: 4 })),
             ("another function", on_rtu, rtu(1, &[4, 4, 0, 10, 0, 11]), named(Frame)),
             ("our own bytes", on_rtu, rtu(1, &read), named(Echo)),
             ("ascii", on_rtu, b":010302000AF0\r\n".to_vec(), named(Ascii)),
             ("garbage", on_rtu, vec![1, 2, 3], Leftover::Damaged(3)),
             ("an earlier request's", on_rtu, rtu(1, &[3, 6, 0, 1, 0, 2, 0, 3]), Leftover::Stale),
-            (
-                "another number",
-                on_tcp,
-                tcp(8, 1, &reply),
-                named(Transaction { found: 8, expected: 7 }),
-            ),
-            (
-                "the number of an answered request",
-                on_tcp,
-                tcp(6, 1, &reply),
-                named(Transaction { found: 6, expected: 7 }),
-            ),
+            ("another number", on_tcp, tcp(8, 1, &reply), numbered(8)),
+            ("the number of an answered request", on_tcp, tcp(6, 1, &reply), numbered(6)),
             ("the number of a lost request", on_tcp, tcp(5, 1, &reply), Leftover::Stale),
             ("another unit", on_tcp, tcp(7, 255, &reply), Leftover::Unexpected(Unit(255))),
-            ("another length", on_tcp, tcp(7, 1, &wide), named(Length { found: 8, expected: 4 })),
+            ("another length", on_tcp, tcp(7, 1, &wide), too_long),
             ("cut off", on_tcp, cut_off, named(Incomplete { announced: 14, came: 13 })),
         ] {
             let now = now();

@@ -107,16 +107,12 @@ impl Sensors {
         };
         let Path { current_filter_s, speed_filter_s, .. } = self.path;
         let (from_a, from_rad_s) = (before.current_a, before.delayed_rad_s);
+        let last_rad_s = before.filtered_rad_s;
         self.filtered = Some(SensorState {
             delayed_rad_s,
             current_a,
             filtered_a: filter(before.filtered_a, from_a, current_a, current_filter_s),
-            filtered_rad_s: filter(
-                before.filtered_rad_s,
-                from_rad_s,
-                delayed_rad_s,
-                speed_filter_s,
-            ),
+            filtered_rad_s: filter(last_rad_s, from_rad_s, delayed_rad_s, speed_filter_s),
         });
     }
 

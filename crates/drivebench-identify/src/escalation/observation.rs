@@ -129,10 +129,8 @@ impl Observation {
     }
 
     pub(super) fn text(&self) -> String {
-        format!(
-            "{:.3} V, {:.3} A, {:.2} rad/s",
-            self.peak_v, self.peak_current_a, self.mean_speed_rad_s
-        )
+        let Self { peak_v, peak_current_a, mean_speed_rad_s, .. } = self;
+        format!("{peak_v:.3} V, {peak_current_a:.3} A, {mean_speed_rad_s:.2} rad/s")
     }
 }
 

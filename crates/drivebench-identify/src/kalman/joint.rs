@@ -289,11 +289,8 @@ impl Kalman {
         let rests = self.filter.mode == Mode::AtRest;
         let state = if rests { ", now at rest" } else { "" };
         let period_ms = 1e3 * self.filter.period_s;
-        let learnt = format!(
-            "{:.0} % of its initial uncertainty remains after {} rows",
-            100.0 * deviation_ratio,
-            self.filter.tally.used
-        );
+        let (left, rows) = (100.0 * deviation_ratio, self.filter.tally.used);
+        let learnt = format!("{left:.0} % of its initial uncertainty remains after {rows} rows");
         match key {
             MotorKey::Inductance => {
                 let physics = self.filter.physics();

@@ -116,17 +116,14 @@ pub struct Scheme3 {
 
 impl Scheme3 {
     pub fn new(memory: Memory, torque_n_m_per_a: Option<f64>, start: Option<StartValues>) -> Self {
+        let sizes = [1.0, 1e-2, 0.1];
+        let starting = RecursiveLeastSquares::new([0.0; 3], sizes, 1e8, memory.electrical);
         Self {
             memory,
             torque_n_m_per_a,
             guess: start.map(|s| [s.resistance_ohm, s.inductance_h, s.back_emf_v_s_per_rad]),
             // Sizes of R, L, Ke, and a prior wide enough for any machine.
-            starting: Some(RecursiveLeastSquares::new(
-                [0.0; 3],
-                [1.0, 1e-2, 0.1],
-                1e8,
-                memory.electrical,
-            )),
+            starting: Some(starting),
             tracks: Vec::with_capacity(2),
             trial: Trial::Waiting,
             acceleration: None,

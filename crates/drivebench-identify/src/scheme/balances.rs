@@ -135,11 +135,8 @@ fn compared(ours: &[ParameterEstimate], weak: &[ParameterEstimate]) -> Option<St
             let other = ParameterEstimate::value_of(weak, &p.key)?;
             // Five digits of the value.
             let digits = whole((4.0 - value.abs().max(1e-12).log10().floor()).max(0.0));
-            Some(format!(
-                "{} {value:.digits$} here, {other:.digits$} there ({:+.1} %)",
-                p.key,
-                100.0 * (other / value - 1.0)
-            ))
+            let (key, percent) = (&p.key, 100.0 * (other / value - 1.0));
+            Some(format!("{key} {value:.digits$} here, {other:.digits$} there ({percent:+.1} %)"))
         })
         .collect();
     (!pairs.is_empty()).then(|| {

@@ -100,12 +100,8 @@ fn one(claim: &Claim, quantity: &Quantity, resistance_ohm: f64) -> ParameterEsti
         Some((made_of_it, cause)) if (of(made_of_it) - better) / error > 0.5 => cause,
         _ => &doubt.cause,
     };
-    let reason = format!(
-        "{cause}: {:+.0} % against {better:.4e} {} {}",
-        100.0 * error / better,
-        judged.unit,
-        doubt.source
-    );
+    let (percent, unit, source) = (100.0 * error / better, judged.unit, &doubt.source);
+    let reason = format!("{cause}: {percent:+.0} % against {better:.4e} {unit} {source}");
     judged.set(verdict, Reason::MethodBiased, reason);
     judged
 }

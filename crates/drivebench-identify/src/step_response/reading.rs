@@ -44,10 +44,8 @@ impl Reading {
     pub fn sentence(&self) -> String {
         let Step { at_s, until_s, voltage_v } = self.step;
         let friction = if self.final_current_a.is_some() {
-            format!(
-                "friction delays the start by about {:.1} ms, which the curve leaves out",
-                1e3 * self.friction_delay_s
-            )
+            let ms = 1e3 * self.friction_delay_s;
+            format!("friction delays the start by about {ms:.1} ms, which the curve leaves out")
         } else {
             "how far friction bends it is not known without a current".to_owned()
         };

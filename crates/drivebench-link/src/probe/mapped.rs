@@ -176,10 +176,8 @@ fn signal(
         Reading::NotAvailable => Some("the drive reports it as not available".to_owned()),
         Reading::Outside(value) => {
             let [low, high] = signal.keys.valid.unwrap_or_default();
-            Some(format!(
-                "{} {unit} lies outside of the profile's {low} to {high}",
-                number::reading(value)
-            ))
+            let value = number::reading(value);
+            Some(format!("{value} {unit} lies outside of the profile's {low} to {high}"))
         }
         Reading::NotANumber => Some("the registers hold no number".to_owned()),
         Reading::Unread => Some(refused.map_or_else(

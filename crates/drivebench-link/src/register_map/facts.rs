@@ -225,10 +225,8 @@ impl Condition {
     /// The expected value of the signal, and its line in the profile.
     pub fn expected(&self) -> String {
         let not = if self.negated { "other than " } else { "" };
-        format!(
-            "expected {not}{:#06x} under mask {:#06x}, line {} of the profile",
-            self.pattern, self.mask, self.line
-        )
+        let Self { pattern, mask, line, .. } = self;
+        format!("expected {not}{pattern:#06x} under mask {mask:#06x}, line {line} of the profile")
     }
 }
 

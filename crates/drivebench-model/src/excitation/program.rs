@@ -195,11 +195,8 @@ mod tests {
             for piece in &program.pieces {
                 let most_v = slew * (piece.end_s - piece.start_s) + 1e-9 * volts;
                 let step_v = (piece.from_v - voltage_v).abs();
-                assert!(
-                    step_v <= 1e-9 * volts,
-                    "{volts} V: {step_v} V at once at {} s",
-                    piece.start_s
-                );
+                let at_s = piece.start_s;
+                assert!(step_v <= 1e-9 * volts, "{volts} V: {step_v} V at once at {at_s} s");
                 assert!((piece.to_v - piece.from_v).abs() <= most_v, "{volts} V: {piece:?}");
                 voltage_v = piece.to_v;
             }

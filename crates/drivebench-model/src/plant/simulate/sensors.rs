@@ -82,15 +82,12 @@ impl<const N: usize> Sensors<N> {
         let delayed = Reading { speed_rad_s: self.speed_before(now), ..now };
         let Path { current_filter_s, speed_filter_s, .. } = self.path;
         let before = (self.delayed.current_a, self.filtered.current_a);
+        let (last, from) = (&self.filtered.speed_rad_s, &self.delayed.speed_rad_s);
+        let ends = [from, &delayed.speed_rad_s];
         self.filtered = Reading {
             time_s: now.time_s,
             current_a: self.filtered_current(&delayed.current_a, interval_s, transient.as_ref()),
-            speed_rad_s: filtered(
-                &self.filtered.speed_rad_s,
-                [&self.delayed.speed_rad_s, &delayed.speed_rad_s],
-                interval_s,
-                speed_filter_s,
-            ),
+            speed_rad_s: filtered(last, ends, interval_s, speed_filter_s),
         };
         self.delayed = delayed;
         // The integral of a filter's output is that of its input less its change in units of the time constant.
