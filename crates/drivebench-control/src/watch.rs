@@ -95,7 +95,7 @@ pub enum Finding {
     Saturated { limited_share: f64, error_rad_s: f64 },
 }
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct LoopWatch {
     noise_rad_s: f64,
     can_reduce_gain: bool,
@@ -125,18 +125,8 @@ impl LoopWatch {
             noise_rad_s,
             can_reduce_gain,
             reference_rad_s: f64::NAN,
-            last_step_rad_s: 0.0,
-            largest_rad_s: 0.0,
-            half_periods: HalfPeriods::default(),
-            window: VecDeque::new(),
             cycles: whole((SETTINGS.window_s / period_s).round()).max(SETTINGS.fewest_cycles),
-            first_side: 0.0,
-            arrived: 0,
-            until_search: 0,
-            steps: 0,
-            first_rad_s: 0.0,
-            is_restored: false,
-            reported_rad_s: 0.0,
+            ..Self::default()
         }
     }
 

@@ -13,6 +13,7 @@ use crate::truth::Path;
 use drivebench_model::numerics::count::whole;
 
 /// Delays set-points. Switching off is never delayed.
+#[derive(Default)]
 pub(super) struct DelayLine {
     delay_ticks: u64,
     start_ticks: u64,
@@ -34,12 +35,8 @@ impl DelayLine {
             delay_ticks: ticks(path.command_delay_s),
             start_ticks: ticks(path.start_delay_s),
             restart_ticks: ticks(path.restart_delay_s),
-            line: VecDeque::new(),
-            acting: None,
-            last: None,
-            began: None,
             rests_since: Some(0),
-            left_rest: None,
+            ..Self::default()
         }
     }
 
