@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use super::readings::{Joined, Readings, in_profile};
+use super::readings::{Bus, Joined, Readings, in_profile};
 use crate::budget::may_join;
 use crate::cell_bus::{CellBus, Span};
 use crate::link::{LinkError, Result};
@@ -14,7 +14,7 @@ pub(super) const PATIENCE_S: f64 = 0.5;
 
 /// The cells of the drive and their last readings.
 pub(super) struct FarEnd<'a> {
-    pub(super) bus: &'a mut dyn CellBus,
+    pub(super) bus: Bus<'a>,
     pub(super) readings: &'a Readings,
 }
 
@@ -168,7 +168,7 @@ impl Points {
     }
 
     /// Repeats the writes that the drive needs within its refresh time.
-    pub(super) fn refresh(&mut self, bus: &mut dyn CellBus, period_s: f64) -> Result<()> {
+    pub(super) fn refresh(&mut self, bus: Bus<'_>, period_s: f64) -> Result<()> {
         self.running = true;
         let map = Arc::clone(&self.map);
         for (at, point) in map.set_points.iter().enumerate() {
@@ -260,7 +260,7 @@ impl Points {
     /// Sends, or leaves it to the read of this exchange where one transaction takes both.
     fn send_or_join(
         &mut self,
-        bus: &mut dyn CellBus,
+        bus: Bus<'_>,
         at: usize,
         point: &SetPoint,
         cells: &[u16],
@@ -283,13 +283,7 @@ impl Points {
     }
 
     /// The sign of a reference as bits of a control word, if they are not yet as they should be.
-    fn write_sign(
-        &mut self,
-        bus: &mut dyn CellBus,
-        name: &str,
-        mask: u16,
-        value: f64,
-    ) -> Result<()> {
+    fn write_sign(&mut self, bus: Bus<'_>, name: &str, mask: u16, value: f64) -> Result<()> {
         let map = Arc::clone(&self.map);
         let Some((at, point)) = find(&map, name) else { return Ok(()) };
         let sent = &self.sent[at];
@@ -350,12 +344,7 @@ impl Points {
 
     /// The drive has accepted a write (exception 05), and may still be carrying it out: a register that reads back shows the end,
     /// any other counts as written.
-    pub(super) fn accepted(
-        &mut self,
-        bus: &mut dyn CellBus,
-        at: usize,
-        cells: &[u16],
-    ) -> Result<()> {
+    pub(super) fn accepted(&mut self, bus: Bus<'_>, at: usize, cells: &[u16]) -> Result<()> {
         let map = Arc::clone(&self.map);
         let since_s = self.sent[at].accepted_s.unwrap_or(bus.now_s());
         self.acknowledged(at, cells.to_vec(), bus.now_s());
@@ -368,7 +357,7 @@ impl Points {
     }
 
     /// Whether an accepted write is carried out by now. After [`PATIENCE_S`] another value is a mismatch.
-    fn confirm(&mut self, bus: &mut dyn CellBus, at: usize, point: &SetPoint) -> Result<()> {
+    fn confirm(&mut self, bus: Bus<'_>, at: usize, point: &SetPoint) -> Result<()> {
         // Without a read-back that comes, the value that is held has not been noted either.
         self.sent[at].in_doubt = true;
         let found = self.read_back(bus, at, point)?;
@@ -388,13 +377,7 @@ impl Points {
         Ok(())
     }
 
-    fn send(
-        &mut self,
-        bus: &mut dyn CellBus,
-        at: usize,
-        point: &SetPoint,
-        cells: &[u16],
-    ) -> Result<()> {
+    fn send(&mut self, bus: Bus<'_>, at: usize, point: &SetPoint, cells: &[u16]) -> Result<()> {
         if !self.may_be_written(bus, at, point, cells)? {
             return Ok(());
         }
@@ -420,12 +403,7 @@ impl Points {
         Ok(())
     }
 
-    fn read_back(
-        &mut self,
-        bus: &mut dyn CellBus,
-        at: usize,
-        point: &SetPoint,
-    ) -> Result<Vec<u16>> {
+    fn read_back(&mut self, bus: Bus<'_>, at: usize, point: &SetPoint) -> Result<Vec<u16>> {
         let read = bus.read(point.location.request())?;
         self.sent[at].looked_s = bus.now_s();
         Ok(read.cells)
@@ -433,7 +411,7 @@ impl Points {
 
     /// Periodic check that a confirmed set-point still reads back as written. A deviation twice in a row without a write of ours is one by
     /// another master: sentence on it.
-    pub(super) fn watch(&mut self, bus: &mut dyn CellBus) -> Result<Option<String>> {
+    pub(super) fn watch(&mut self, bus: Bus<'_>) -> Result<Option<String>> {
         let map = Arc::clone(&self.map);
         let pause_s = map.rates.slow_hz.recip();
         for (at, point) in map.set_points.iter().enumerate() {

@@ -13,6 +13,9 @@ use crate::register_map::{
 use crate::timeline::{ClockMap, DriveClock};
 use drivebench_model::sample::Channel;
 
+/// The bus of the drive, for one call.
+pub(super) type Bus<'a> = &'a mut dyn CellBus;
+
 /// One signal as it was last read.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Reading {
@@ -89,7 +92,7 @@ impl Readings {
     }
 
     /// Everything, as at connect.
-    pub(super) fn read_all(&mut self, bus: &mut dyn CellBus) -> Result<()> {
+    pub(super) fn read_all(&mut self, bus: Bus<'_>) -> Result<()> {
         // Factors first: the others are scaled with them.
         for block in plan_reads(&self.map, PollRate::Once) {
             self.read(bus, &block)?;
@@ -104,7 +107,7 @@ impl Readings {
     /// last reply, and when the write was carried out.
     pub(super) fn read_fast(
         &mut self,
-        bus: &mut dyn CellBus,
+        bus: Bus<'_>,
         mut joined: Option<&Joined>,
     ) -> Result<(Option<Span>, Option<Span>)> {
         let (mut whole, mut both) = (None, None);
@@ -137,7 +140,7 @@ impl Readings {
     }
 
     /// One slow block, if it is time for one.
-    pub(super) fn read_slow(&mut self, bus: &mut dyn CellBus) -> Result<()> {
+    pub(super) fn read_slow(&mut self, bus: Bus<'_>) -> Result<()> {
         let now_s = bus.now_s();
         let Some(block) = self.slow.get(self.next_slow).cloned() else { return Ok(()) };
         if now_s < self.slow_due_s {
@@ -149,7 +152,7 @@ impl Readings {
     }
 
     /// Reads all slow signals now.
-    pub(super) fn read_now(&mut self, bus: &mut dyn CellBus, quantity: Quantity) -> Result<()> {
+    pub(super) fn read_now(&mut self, bus: Bus<'_>, quantity: Quantity) -> Result<()> {
         let signals = &self.map.signals;
         let holds = |block: &&ReadBlock| {
             block.signals.iter().any(|index| signals[*index].keys.quantity == quantity)
@@ -157,13 +160,13 @@ impl Readings {
         self.slow.iter().find(holds).cloned().map_or(Ok(()), |block| self.read(bus, &block))
     }
 
-    fn read(&mut self, bus: &mut dyn CellBus, block: &ReadBlock) -> Result<()> {
+    fn read(&mut self, bus: Bus<'_>, block: &ReadBlock) -> Result<()> {
         self.read_with(bus, block, None).map(drop)
     }
 
     fn read_with(
         &mut self,
-        bus: &mut dyn CellBus,
+        bus: Bus<'_>,
         block: &ReadBlock,
         joined: Option<&Joined>,
     ) -> Result<(Span, Span)> {

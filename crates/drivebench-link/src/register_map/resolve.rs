@@ -38,35 +38,33 @@ use drivebench_model::units::rad_s_from_rpm;
 const HELP: &str = "see docs/drives.md for every key, its unit and its default";
 const FUNCTIONS: [u8; 13] = [1, 2, 3, 4, 5, 6, 8, 11, 15, 16, 22, 23, 43];
 
+/// What was read of a profile, or the first key or value that is not allowed.
+type Checked<T> = Result<T, ConfigError>;
+
+/// A profile, and what its file says of the link and of the drive's limits.
+type WithSettings = (RegisterMap, LinkSettings, DriveLimits);
+
 impl RegisterMap {
     /// Reads a profile file of this kind; `file` names it in errors.
     ///
     /// # Errors
     /// The first key or value that is not allowed, with its line.
-    pub fn parse(file: &str, text: &str) -> Result<Self, ConfigError> {
-        read(file, text).map(|(map, ..)| map)
+    pub fn parse(file: &str, text: &str) -> Checked<Self> {
+        Self::with_settings(file, text).map(|(map, ..)| map)
     }
 
-    /// The same with what the file says of the link and of the drive's limits.
-    pub(crate) fn with_settings(
-        file: &str,
-        text: &str,
-    ) -> Result<(Self, LinkSettings, DriveLimits), ConfigError> {
-        read(file, text)
+    pub(crate) fn with_settings(file: &str, text: &str) -> Checked<WithSettings> {
+        let keys: ProfileFile = config_text::parse(file, text)?;
+        let reader = Reader {
+            file,
+            text,
+            numbering: Numbering { base: Base::Zero, formula: None },
+            link: keys.link.get_ref(),
+            counts_per_turn: keys.device.counts_per_turn,
+            lines: lines(&keys),
+        };
+        reader.map(&keys)
     }
-}
-
-fn read(file: &str, text: &str) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
-    let keys: ProfileFile = config_text::parse(file, text)?;
-    let reader = Reader {
-        file,
-        text,
-        numbering: Numbering { base: Base::Zero, formula: None },
-        link: keys.link.get_ref(),
-        counts_per_turn: keys.device.counts_per_turn,
-        lines: lines(&keys),
-    };
-    reader.map(&keys)
 }
 
 /// Every line of the profile once, by what is sent and its answer.
@@ -99,26 +97,23 @@ impl Part<'_> {
         self.reader.at(&self.span, key, format!("{}{message}", self.whose))
     }
 
-    fn require(&self, holds: bool, key: &str, message: impl Display) -> Result<(), ConfigError> {
+    fn require(&self, holds: bool, key: &str, message: impl Display) -> Checked<()> {
         if holds { Ok(()) } else { Err(self.wrong(key, message)) }
     }
 
     /// What went well, or the error at this key.
-    fn of<T>(&self, key: &str, result: Result<T, String>) -> Result<T, ConfigError> {
+    fn of<T>(&self, key: &str, result: Result<T, String>) -> Checked<T> {
         result.map_err(|message| self.wrong(key, message))
     }
 
     /// The same where the key that is wrong comes with the reason.
-    fn keyed<T>(&self, result: Result<T, (&'static str, String)>) -> Result<T, ConfigError> {
+    fn keyed<T>(&self, result: Result<T, (&'static str, String)>) -> Checked<T> {
         result.map_err(|(key, message)| self.wrong(key, message))
     }
 }
 
 impl Reader<'_> {
-    fn map(
-        mut self,
-        file: &ProfileFile,
-    ) -> Result<(RegisterMap, LinkSettings, DriveLimits), ConfigError> {
+    fn map(mut self, file: &ProfileFile) -> Checked<WithSettings> {
         let requests = self.check_link(file)?;
         let mut signals = file
             .signals
@@ -208,7 +203,7 @@ impl Reader<'_> {
         Ok((map, settings, limits))
     }
 
-    fn check_link(&mut self, file: &ProfileFile) -> Result<Requests, ConfigError> {
+    fn check_link(&mut self, file: &ProfileFile) -> Checked<Requests> {
         let schema = *file.schema.get_ref();
         let message = format_args!("schema {schema} is not allowed (expected 1)");
         self.part(file.schema.span(), "").require(schema == 1, "", message)?;
@@ -223,7 +218,7 @@ impl Reader<'_> {
     }
 
     /// The language of lines, with the types of the numbers in them.
-    fn grammar(&self, file: &ProfileFile) -> Result<Option<Arc<Grammar>>, ConfigError> {
+    fn grammar(&self, file: &ProfileFile) -> Checked<Option<Arc<Grammar>>> {
         let part = self.part(file.link.span(), "");
         let is_lines = self.link.protocol == Protocol::Lines;
         let message = "protocol \"lines\" needs [link.lines], and no other has one";
@@ -262,7 +257,7 @@ impl Reader<'_> {
         Places { link: self.link, numbering: self.numbering, lines: &self.lines }
     }
 
-    fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Result<Signal, ConfigError> {
+    fn signal(&self, name: &str, spanned: &Spanned<SignalKeys>) -> Checked<Signal> {
         let (keys, span) = (spanned.get_ref(), spanned.span());
         let part = self.part(span.clone(), format!("signal {name}: "));
         part.of("quantity", keys.quantity.read())?;
@@ -318,7 +313,7 @@ impl Reader<'_> {
         name: &str,
         spanned: &Spanned<DerivedKeys>,
         signals: &[Signal],
-    ) -> Result<Signal, ConfigError> {
+    ) -> Checked<Signal> {
         let whole = match spanned.get_ref() {
             DerivedKeys::Whole(whole) => whole.clone(),
             DerivedKeys::Expression(value) => {
@@ -398,11 +393,7 @@ impl Reader<'_> {
         }
     }
 
-    fn set_point(
-        &self,
-        name: &str,
-        spanned: &Spanned<SetPointKeys>,
-    ) -> Result<SetPoint, ConfigError> {
+    fn set_point(&self, name: &str, spanned: &Spanned<SetPointKeys>) -> Checked<SetPoint> {
         let (keys, span) = (spanned.get_ref(), spanned.span());
         let part = self.part(span.clone(), format!("setpoint {name}: "));
         part.of("quantity", keys.quantity.written())?;
@@ -451,7 +442,7 @@ impl Reader<'_> {
         })
     }
 
-    fn watchdog(&self, spanned: &Spanned<WatchdogKeys>) -> Result<Supervision, ConfigError> {
+    fn watchdog(&self, spanned: &Spanned<WatchdogKeys>) -> Checked<Supervision> {
         let keys = spanned.get_ref();
         let part = self.part(spanned.span(), "watchdog: ");
         let mut found = None;
@@ -482,7 +473,7 @@ impl Reader<'_> {
     }
 
     /// Every required channel is mapped or declared missing, and none twice.
-    fn roles(&self, file: &ProfileFile, map: &mut RegisterMap) -> Result<(), ConfigError> {
+    fn roles(&self, file: &ProfileFile, map: &mut RegisterMap) -> Checked<()> {
         for (key, reason) in &file.missing {
             let channels = Channel::ALL.map(Channel::key);
             self.known(key, channels, "channel", &self.from("[missing"))?;
@@ -551,7 +542,7 @@ impl Reader<'_> {
     }
 
     /// Names that lead from one part to another, and lengths against the drive's limits.
-    fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Result<(), ConfigError> {
+    fn cross_check(&self, file: &ProfileFile, map: &RegisterMap) -> Checked<()> {
         let once = map.signals.iter().filter(|s| s.keys.poll == PollRate::Once);
         let once: Vec<&str> = once.map(|signal| signal.name.as_str()).collect();
         let fits = |kind, name: &str, numbers: &Numbers, location: &Location, (key, most), span| {
@@ -629,11 +620,7 @@ impl Reader<'_> {
     }
 
     /// A position that may go half of its way round between two readings cannot be followed without a speed.
-    fn position_is_followed(
-        &self,
-        file: &ProfileFile,
-        map: &RegisterMap,
-    ) -> Result<(), ConfigError> {
+    fn position_is_followed(&self, file: &ProfileFile, map: &RegisterMap) -> Checked<()> {
         let Some(position) = map.of_channel(Channel::Angle) else { return Ok(()) };
         let (Some(wraps_at), Some((_, count_rad)), Some(most_rpm), None) = (
             position.wraps_at,
@@ -669,7 +656,7 @@ impl Reader<'_> {
         allowed: impl IntoIterator<Item = &'b str> + Clone,
         what: &str,
         span: &Range<usize>,
-    ) -> Result<(), ConfigError> {
+    ) -> Checked<()> {
         if allowed.clone().into_iter().any(|known| known == name) {
             return Ok(());
         }

@@ -9,15 +9,14 @@ use super::super::facts::{
 };
 use super::super::schema::{ConditionKeys, IdentityKeys, StepKeys};
 use super::super::terms::PollRate;
-use super::{Part, Reader};
-use drivebench_model::config_text::ConfigError;
+use super::{Checked, Part, Reader};
 
 impl Reader<'_> {
     pub(super) fn identity(
         &self,
         spanned: &Spanned<IdentityKeys>,
         map: &RegisterMap,
-    ) -> Result<IdentityCheck, ConfigError> {
+    ) -> Checked<IdentityCheck> {
         let keys = spanned.get_ref();
         let part = self.part(spanned.span(), "");
         match (&keys.signal, keys.object, &keys.contains) {
@@ -50,7 +49,7 @@ impl Reader<'_> {
         &self,
         spanned: &Spanned<ConditionKeys>,
         map: &RegisterMap,
-    ) -> Result<Result<Condition, String>, ConfigError> {
+    ) -> Checked<Result<Condition, String>> {
         let keys = spanned.get_ref();
         let part = self.part(spanned.span(), "");
         if let Some(reason) = &keys.none {
@@ -71,7 +70,7 @@ impl Reader<'_> {
     pub(super) fn fault_codes(
         &self,
         texts: &BTreeMap<String, String>,
-    ) -> Result<BTreeMap<u16, String>, ConfigError> {
+    ) -> Checked<BTreeMap<u16, String>> {
         let number = |text: &str| match text.strip_prefix("0x") {
             Some(digits) => u16::from_str_radix(digits, 16),
             None => text.parse(),
@@ -91,7 +90,7 @@ impl Reader<'_> {
         &self,
         steps: &[Spanned<StepKeys>],
         map: &RegisterMap,
-    ) -> Result<Vec<Step>, ConfigError> {
+    ) -> Checked<Vec<Step>> {
         steps.iter().map(|step| self.step(step, map)).collect()
     }
 
@@ -101,7 +100,7 @@ impl Reader<'_> {
         name: &str,
         steps: Option<&[Spanned<StepKeys>]>,
         map: &RegisterMap,
-    ) -> Result<Vec<Step>, ConfigError> {
+    ) -> Checked<Vec<Step>> {
         let steps = steps.ok_or_else(|| {
             let why = match name {
                 "coast" => "it is tried where stop fails",
@@ -115,11 +114,7 @@ impl Reader<'_> {
         self.steps(steps, map)
     }
 
-    pub(super) fn step(
-        &self,
-        spanned: &Spanned<StepKeys>,
-        map: &RegisterMap,
-    ) -> Result<Step, ConfigError> {
+    pub(super) fn step(&self, spanned: &Spanned<StepKeys>, map: &RegisterMap) -> Checked<Step> {
         let keys = spanned.get_ref();
         let part = self.part(spanned.span(), "");
         match (&keys.write, &keys.wait, keys.delay_ms) {
@@ -169,7 +164,7 @@ fn condition(
     signal: &str,
     (mask, pattern): (u32, u32),
     negated: bool,
-) -> Result<Condition, ConfigError> {
+) -> Checked<Condition> {
     let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
     let fast = fast.map(|signal| signal.name.as_str());
     part.reader.known(signal, fast, "signal with poll = \"fast\"", &part.span)?;
