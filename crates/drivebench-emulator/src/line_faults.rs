@@ -17,7 +17,6 @@ use drivebench_link::Protocol;
 /// Bytes of a request that are kept: those of the longest frame of Modbus.
 const LONGEST_REQUEST: usize = 260;
 
-/// The faults of one line.
 pub(super) struct LineFaults {
     protocol: Protocol,
     unit: u8,
@@ -58,7 +57,6 @@ impl LineFaults {
         FaultyLine { drive, faults, now_s }
     }
 
-    /// A byte of the host.
     pub(super) fn host_byte(&mut self, byte: u8) {
         if !self.faults.is_empty() && self.request.len() < LONGEST_REQUEST {
             self.request.push(byte);

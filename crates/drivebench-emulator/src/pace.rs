@@ -75,7 +75,6 @@ impl Pace {
         self.gap_s
     }
 
-    /// Time of so many bytes, s.
     pub(super) const fn wire_s(&self, bytes: usize) -> f64 {
         bytes as f64 * self.char_s
     }

@@ -64,7 +64,6 @@ findings! {
 }
 
 findings! {
-    /// Possible cause of a change.
     #[derive(Clone, Copy, Debug, PartialEq)]
     pub enum DriftCause {
         Winding { kelvin: f64, warmer: bool } = "winding_temperature",
@@ -144,7 +143,6 @@ pub struct Drift {
 }
 
 impl Drift {
-    /// The changes that are a drift.
     pub fn drifted(&self) -> impl Iterator<Item = &Change> {
         self.changes.iter().filter(|change| change.drifted)
     }

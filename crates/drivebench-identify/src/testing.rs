@@ -103,7 +103,6 @@ pub(super) fn simulated(
     scenario
 }
 
-/// The values with white noise.
 pub(super) fn noisy(values: &[f64], sigma: f64, random: &mut ChaCha8Rng) -> Vec<f64> {
     let noise = Normal::new(0.0, sigma).unwrap();
     values.iter().map(|value| value + noise.sample(random)).collect()

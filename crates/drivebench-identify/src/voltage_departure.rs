@@ -11,7 +11,6 @@ use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Reason, Run};
 pub struct Departure {
     /// Share of the rows with a measured voltage, 0..1.
     pub share: f64,
-    /// Largest difference, V.
     pub largest_v: f64,
 }
 

@@ -204,7 +204,6 @@ impl<L: Language> LineBus<L> {
         self.language.call(&mut self.exchange, turn, query)
     }
 
-    /// Bytes of a turn on the line.
     fn bytes(&self, turn: Turn<'_>) -> (usize, usize) {
         self.language.bytes(self.exchange.kind, turn)
     }

@@ -85,7 +85,6 @@ impl LinkCore {
         sample
     }
 
-    /// The command that requests a stop.
     pub(super) fn stop_command(&mut self) -> Command {
         self.bound.set(f64::INFINITY, now());
         Command { seq: self.last_seq.wrapping_add(1), demand: Demand::Stop }

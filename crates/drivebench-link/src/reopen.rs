@@ -70,7 +70,6 @@ impl Reopening {
         self.attempts
     }
 
-    /// The attempt has failed at `now_s`.
     pub fn failed(&mut self, now_s: f64) {
         self.due_s = now_s + self.backoff.pause_s();
     }

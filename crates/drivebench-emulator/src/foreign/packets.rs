@@ -345,7 +345,6 @@ mod tests {
         text.split(' ').map(|byte| u8::from_str_radix(byte, 16).unwrap()).collect()
     }
 
-    /// What the drive answers to these bytes.
     fn answers(drive: &mut ForeignDrive, bytes: &[u8]) -> Vec<Vec<u8>> {
         let mut receiver = PacketReceiver::default();
         let protocol = drive.map.protocol;

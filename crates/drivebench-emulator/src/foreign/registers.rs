@@ -118,7 +118,6 @@ pub(super) fn number_of(kind: Kind, bits: u32) -> f64 {
     }
 }
 
-/// The word in which a condition holds, or does not.
 const fn with_condition(word: u32, condition: &Condition, holds: bool) -> u32 {
     let with = (word & !condition.mask) | condition.pattern;
     if holds == condition.negated {

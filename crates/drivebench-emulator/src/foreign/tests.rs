@@ -127,7 +127,6 @@ impl Table {
         self.link.run_at(reference, self.seq)
     }
 
-    /// So many cycles in which the state is this.
     #[track_caller]
     fn stays(&mut self, state: DriveState, reference: Reference<'_>, cycles: usize) {
         for _ in 0..cycles {

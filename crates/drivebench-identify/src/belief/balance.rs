@@ -62,7 +62,6 @@ impl Plate {
         (volts - self.resistance_ohm * current_a) / self.back_emf_v_s_per_rad
     }
 
-    /// Torque of a current, N.m.
     pub fn torque_n_m(&self, current_a: f64) -> f64 {
         self.back_emf_v_s_per_rad * current_a.abs()
     }

@@ -23,7 +23,6 @@ pub struct Found {
 }
 
 impl Found {
-    /// Estimate of one key.
     pub fn get(&self, key: MotorKey) -> Option<&ParameterEstimate> {
         ParameterEstimate::find(&self.parameters, key.key())
     }

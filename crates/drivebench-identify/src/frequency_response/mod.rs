@@ -156,7 +156,6 @@ impl Mode {
     }
 }
 
-/// Frequency response of a record.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FrequencyResponse {
     pub pathways: Vec<PathwayResponse>,

@@ -326,7 +326,6 @@ const UNITS: &[Entry] = &[
     ("temperature_c", "c \u{b0}c degc celsius", "C", "1"),
 ];
 
-/// A unit of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ColumnUnit {
     pub name: &'static str,

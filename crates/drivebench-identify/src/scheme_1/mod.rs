@@ -405,7 +405,6 @@ impl Scheme1 {
         }
     }
 
-    /// Which form this is.
     pub const fn form(&self) -> Form {
         match self.estimator {
             Estimator::Printed(_) => Form::Printed,

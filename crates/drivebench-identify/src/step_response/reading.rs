@@ -426,7 +426,6 @@ fn line(points: &[(f64, f64)], at: f64) -> Option<(f64, f64)> {
 const MEETING: f64 = 0.73;
 const LARGEST_RATIO: f64 = 10.0;
 
-/// Height at time `x`.
 fn height(x: f64, r: f64) -> f64 {
     let discriminant = 1.0 - 4.0 * r;
     if r < 1e-9 {

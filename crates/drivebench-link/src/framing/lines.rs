@@ -158,7 +158,6 @@ impl Grammar {
         (text.into_bytes(), awaited)
     }
 
-    /// Lines that answer a turn.
     pub(crate) fn answers(&self, turn: Turn<'_>) -> u32 {
         let count = self.parts(turn, 0).iter().filter(|part| !part.answer.is_empty()).count();
         u32::try_from(count).unwrap_or(u32::MAX)
@@ -239,7 +238,6 @@ impl Line {
     }
 }
 
-/// Whether a turn reads this line.
 fn is_read(turn: Turn<'_>, at: usize) -> bool {
     matches!(turn.read, Some(read) if matches!(read.table, CellTable::Lines(mask) if mask >> at & 1 == 1))
 }

@@ -353,7 +353,6 @@ pub struct RegisterMap {
 }
 
 impl RegisterMap {
-    /// The function that writes so many cells.
     pub fn write_function(&self, cells: usize) -> u8 {
         match self.protocol {
             Protocol::Dynamixel | Protocol::Lines => PROOF_WRITE,

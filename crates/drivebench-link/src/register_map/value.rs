@@ -101,7 +101,6 @@ impl Layout {
         }
     }
 
-    /// Bits of one cell.
     const fn cell_bits(self) -> u32 {
         match self.cell {
             CellSize::Byte => 8,

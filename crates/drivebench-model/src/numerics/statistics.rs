@@ -90,7 +90,6 @@ pub fn autocorrelation(values: &[f64], most: usize) -> Vec<f64> {
     (1..=most).map(at).collect()
 }
 
-/// Lags of the test of whiteness.
 pub const WHITENESS_LAGS: usize = 25;
 /// Half-width of the 99 % band of a correlation, times the root of the number of samples.
 pub const BAND_99: f64 = 2.58;

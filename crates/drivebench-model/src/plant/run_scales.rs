@@ -6,7 +6,6 @@ use crate::numerics::least_squares::fit_normal;
 use crate::numerics::statistics::{largest, mean_step, variance};
 use crate::signal;
 
-/// Scales of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RunScales {
     /// Stall current at the largest voltage; where a run does not determine the resistance, the largest measured current.

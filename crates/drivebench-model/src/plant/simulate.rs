@@ -59,7 +59,6 @@ pub struct Correction {
     pub voltage_v: f64,
 }
 
-/// One sub-step of a simulation.
 #[derive(Clone, Copy, Debug)]
 pub struct SubStep {
     pub begin_s: f64,
@@ -93,7 +92,6 @@ pub struct Plant {
     trace: Option<Vec<SubStep>>,
 }
 
-/// Longest sub-step in a run, s.
 fn longest_step_s(equations: &Equations, scales: &RunScales) -> f64 {
     let linear = equations.is_linear();
     // Linear steps are exact, but two reversals within one are not detected, and an oscillating load reverses often. The

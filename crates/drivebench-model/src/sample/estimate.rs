@@ -147,7 +147,6 @@ impl ParameterEstimate {
         }
     }
 
-    /// Another verdict, with its reason.
     pub fn set(&mut self, verdict: Verdict, code: Reason, reason: impl Into<String>) {
         (self.verdict, self.code, self.reason) = (verdict, Some(code), Some(reason.into()));
     }

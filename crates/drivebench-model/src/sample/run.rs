@@ -160,7 +160,6 @@ impl Run {
         Ok(())
     }
 
-    /// Sets the origin of a signal.
     pub fn set_origin(&mut self, channel: Channel, origin: Origin) {
         self.origins[channel.index()] = origin;
     }

@@ -190,7 +190,6 @@ fn field(bit: u8, layout: Layout) -> Result<CellTable, Wrong> {
     Ok(CellTable::Fields(mask))
 }
 
-/// The first of the places that a signal may have.
 fn first_place(by: &ReplyBy, keys: &SignalKeys) -> Result<u16, Wrong> {
     if keys.poll != PollRate::Once {
         let message = "a signal with reply_by is read once (expected poll = \"once\")";

@@ -5,8 +5,8 @@
 //! id = "table",  "table_NAME"    ->  table::define  ----+--> interned --> &'static dyn Effect
 //! ```
 
-use super::definition::DefinitionError;
-use super::{Card, Effect, custom, table};
+use super::definition::{Defined, DefinitionError};
+use super::{Card, custom, table};
 
 /// Families of effects whose settings stand in the model.
 pub const FAMILIES: [&Card; 2] = [&custom::CARD, &table::CARD];
@@ -24,10 +24,7 @@ pub fn family(id: &str) -> Option<&'static Card> {
 }
 
 /// The effect that `settings` define, as they stand in an `[[effect]]` of a model file, with the values given there.
-pub fn define(
-    id: &str,
-    settings: &toml::Table,
-) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+pub fn define(id: &str, settings: &toml::Table) -> Defined {
     match family(id).map(|card| card.id) {
         Some("custom") => custom::define(id, settings),
         Some("table") => table::define(id, settings),

@@ -29,6 +29,9 @@ impl DefinitionError {
     }
 }
 
+/// An effect that settings define, with the values that stand there too.
+pub(super) type Defined = Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError>;
+
 /// Layout of the parameters of an effect in a model file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {

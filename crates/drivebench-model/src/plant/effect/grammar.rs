@@ -71,7 +71,6 @@ impl Tree {
         })
     }
 
-    /// Value for the values of the names.
     pub fn value(&self, names: &[f64]) -> f64 {
         match self {
             Self::Number(value) => *value,

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use super::definition::{
-    DefinitionError, Layout, balance_of, interned, leaked, number_of, text_of, unknown_key,
+    Defined, DefinitionError, Layout, balance_of, interned, leaked, number_of, text_of, unknown_key,
 };
 use super::{
     Balance, Card, Effect, Enters, Formula, Instant, ParameterSpec, Place, SYMBOLS, Terms, Tree,
@@ -78,10 +78,7 @@ impl Axis {
 }
 
 /// Builds the effect from its settings; gives the values that stand there, too.
-pub(super) fn define(
-    id: &str,
-    settings: &toml::Table,
-) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+pub(super) fn define(id: &str, settings: &toml::Table) -> Defined {
     let balance = balance_of(settings)?;
     let axis = text_of(settings, "axis", Axis::Speed.key())?;
     let axis = Axis::from_key(axis).ok_or_else(|| {
@@ -256,7 +253,7 @@ pub fn weights(axis: Axis, knots: &[f64], abscissa: f64) -> [(usize, f64); 2] {
 mod tests {
     use super::*;
     use crate::plant::ShaftAngle;
-    fn table(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+    fn table(text: &str) -> Defined {
         define("table", &text.parse::<toml::Table>().unwrap())
     }
 

@@ -92,7 +92,6 @@ pub(super) struct Equations {
     /// The motor's constants, part of every instant.
     motor: Instant,
     pub(super) inverse_inertia: f64,
-    /// Whether an effect changes the inertia.
     changes_inertia: bool,
     coulomb: f64,
     /// Coulomb friction of the load on an elastic shaft.

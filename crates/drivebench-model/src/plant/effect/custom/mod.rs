@@ -18,7 +18,7 @@ use expression::{ANGLE, DIRECTION, Expression, MOST_NAMES, PARAMETERS, VARIABLES
 use parameters::Declared;
 
 use super::definition::{
-    DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key,
+    Defined, DefinitionError, Layout, balance_of, interned, leaked, text_of, unknown_key,
 };
 use super::grammar::sign;
 use super::{
@@ -42,10 +42,7 @@ pub(super) const CARD: Card = Card {
 };
 
 /// Builds the effect from its settings; gives the values that stand in `parameters`, too.
-pub(super) fn define(
-    id: &str,
-    settings: &toml::Table,
-) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+pub(super) fn define(id: &str, settings: &toml::Table) -> Defined {
     let allowed = ["id", "equation", "expression", "parameters"];
     if let Some(key) = settings.keys().find(|key| !allowed.contains(&key.as_str())) {
         return Err(unknown_key(key, &allowed));

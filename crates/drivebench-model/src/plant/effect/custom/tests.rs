@@ -2,7 +2,7 @@ use super::*;
 use crate::plant::{ActiveEffect, Input, Model, Motor, ParameterRole, Plant, Scenario, State};
 use crate::sample::Channel;
 
-fn defined(text: &str) -> Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError> {
+fn defined(text: &str) -> Defined {
     define("custom", &text.parse::<toml::Table>().unwrap())
 }
 
