@@ -53,8 +53,7 @@ impl LineFaults {
         drive: &'a mut dyn Responder,
         now_s: f64,
     ) -> FaultyLine<'a> {
-        let faults = self;
-        FaultyLine { drive, faults, now_s }
+        FaultyLine { drive, faults: self, now_s }
     }
 
     pub(super) fn host_byte(&mut self, byte: u8) {

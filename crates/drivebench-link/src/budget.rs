@@ -216,7 +216,8 @@ impl LostReply {
 /// function code 23.
 pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
     let blocks = plan_reads(map, PollRate::Fast);
-    let joined = joint_point(map).zip(joint_block(map, &blocks));
+    let first = map.set_points.iter().find(|point| may_join(map, point));
+    let joined = first.zip(joint_block(map, &blocks));
     let zeros = [0; 4];
     let kind = FrameKind::serial(map.protocol);
     let put = |point: &SetPoint| Put {
@@ -241,11 +242,6 @@ pub(super) fn cycle_frames(map: &RegisterMap) -> Vec<(usize, usize)> {
             None => kind.bytes(turn),
         })
         .collect()
-}
-
-/// The first reference that may go out together with a read.
-fn joint_point(map: &RegisterMap) -> Option<&SetPoint> {
-    map.set_points.iter().find(|point| may_join(map, point))
 }
 
 /// Whether it may be written together with the read.

@@ -219,10 +219,11 @@ impl ForeignDrive {
                 return None;
             }
             (command, []) => {
-                let length = self.reply_length(CellTable::Reply(command))?;
-                let mut reply = vec![command];
-                reply.extend(self.bytes(CellTable::Reply(command), 0, length));
-                reply
+                let table = CellTable::Reply(command);
+                let reads = self.map.signals.iter().map(Signal::request);
+                // As far as the profile reads it.
+                let ends = reads.filter(|at| at.table == table).map(|at| at.address + at.count);
+                [vec![command], self.bytes(table, 0, ends.max()?)].concat()
             }
             (command, value) => {
                 if may_command() {
@@ -308,12 +309,6 @@ impl ForeignDrive {
         let addresses = first..first.saturating_add(count);
         let cells = addresses.map(|address| self.register(table, address).unwrap_or(0));
         cells.map(|cell| cell.to_le_bytes()[0]).collect()
-    }
-
-    /// Bytes of the reply to a command, as far as the profile reads it.
-    fn reply_length(&self, table: CellTable) -> Option<u16> {
-        let reads = self.map.signals.iter().map(Signal::request);
-        reads.filter(|at| at.table == table).map(|at| at.address + at.count).max()
     }
 }
 

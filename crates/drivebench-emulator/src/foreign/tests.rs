@@ -150,11 +150,6 @@ impl Table {
         error.unwrap_or_else(|| panic!("{} runs", self.link.map().device.id))
     }
 
-    /// The same where each cycle has another speed.
-    fn first_error_over(&mut self, speeds: impl IntoIterator<Item = f64>) -> LinkError {
-        speeds.into_iter().find_map(|rpm| self.run(speed_ref(rpm)).err()).unwrap()
-    }
-
     fn written(&mut self, set_point: &str) -> Option<u16> {
         self.far().last_written(set_point)
     }
@@ -309,7 +304,7 @@ fn a_set_point_that_reads_back_wrong_three_times_is_a_stop() {
     table.enable(speed_ref(100.0));
     table.far().ignore(Some("speed_ref"));
     assert_eq!(table.run(speed_ref(101.0)).unwrap().applied, None, "it holds another");
-    let error = table.first_error_over((1..20).map(|k| 100.0 + f64::from(k)));
+    let error = (101..120).find_map(|rpm| table.run(speed_ref(rpm.into())).err()).unwrap();
     assert_contains(&error, "3 times in a row");
     assert_contains(&error, "so it ignores what is written");
     table.ask(Demand::Disable, 5);

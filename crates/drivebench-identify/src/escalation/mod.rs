@@ -385,7 +385,9 @@ impl Escalation {
         let wanted_a = (share * rated_a).max(friction_a + 0.5 * rated_a).min(most_a);
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
-        if self.rounds > 0 && !self.has_resistance() && self.last_a < 0.3 * rated_a {
+        let is_known = self.rest.is_some_and(|rest| rest.relative() < SETTINGS.known)
+            || turned.and_then(Turned::resistance).is_some();
+        if self.rounds > 0 && !is_known && self.last_a < 0.3 * rated_a {
             // After a step with a small current three times the voltage is allowed.
             volts = volts.max(SETTINGS.growth * self.last_v);
             reason = self.allows_more();
@@ -475,11 +477,6 @@ impl Escalation {
             (one, other) => one.or(other).map_or(0.0, |known| known.lowest_ohm()),
         };
         lowest.max(least)
-    }
-
-    fn has_resistance(&self) -> bool {
-        let turned = self.turned.as_ref().and_then(Turned::resistance);
-        self.rest.is_some_and(|rest| rest.relative() < SETTINGS.known) || turned.is_some()
     }
 
     fn allows_more(&self) -> String {

@@ -493,13 +493,11 @@ impl Estimator {
         });
         let response = [0, 1].map(|output| {
             let parts = known.iter().zip(&shares[output]);
-            let parts = parts.map(|(local, share)| local.response[output] * *share);
-            parts.sum()
+            parts.map(|(local, share)| local.response[output] * *share).sum()
         });
         let covariance = Matrix2::from_fn(|a, b| {
             let parts = known.iter().zip(shares[a].iter().zip(&shares[b]));
-            let parts = parts.map(|(local, (one, other))| local.covariance[(a, b)] * (one * other));
-            parts.sum()
+            parts.map(|(local, (one, other))| local.covariance[(a, b)] * (one * other)).sum()
         });
         let coherence = [0, 1].map(|output| {
             let explained: f64 = known.iter().map(|local| local.explained[output]).sum();

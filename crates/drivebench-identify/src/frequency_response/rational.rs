@@ -151,8 +151,7 @@ impl Task {
             return None;
         }
         let starts = [0.0, 1.0, 2.0].map(|periods| self.start(layout, periods * self.period));
-        let starts = starts.into_iter().flatten();
-        let (_, start) = starts.min_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (_, start) = starts.into_iter().flatten().min_by(|a, b| a.0.total_cmp(&b.0))?;
         let scale: Vec<f64> = start.iter().map(|value| value.abs().max(1e-9)).collect();
         let model = Model { task: self, layout, scale };
         let x: Vec<f64> = start.iter().zip(&model.scale).map(|(v, s)| v / s).collect();

@@ -27,9 +27,7 @@ pub fn mask(run: &mut Run) -> Vec<Masked> {
         }
     }
     found.extend(frozen_telemetry(run));
-    for channel in MEASURED {
-        found.extend(repeats(run, channel));
-    }
+    found.extend(MEASURED.into_iter().filter_map(|channel| repeats(run, channel)));
     found
 }
 

@@ -123,11 +123,6 @@ impl Sequence {
         writes.collect()
     }
 
-    /// One of those was not acknowledged again.
-    pub(super) fn unacknowledged_again(&mut self, step: usize) {
-        self.unacknowledged.get_or_insert(step);
-    }
-
     /// The drive refused a write of this command; returns for how long it has done so, s. The first refusal is kept: it is
     /// why a status that is waited for later does not come.
     pub(super) fn refused(&mut self, now_s: f64, why: String) -> f64 {
@@ -168,7 +163,7 @@ impl<B: CellBus> ProfiledLink<B> {
         let mut first = None;
         for (at, write) in sequence.again() {
             if self.leave(sequence, &write, &mut first)? == WriteEnd::Unacknowledged {
-                sequence.unacknowledged_again(at);
+                sequence.unacknowledged.get_or_insert(at);
             }
         }
         loop {

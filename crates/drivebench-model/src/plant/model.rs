@@ -163,7 +163,10 @@ impl Model {
     /// Every parameter of the model. The torque constant is one only where the motor gives it, and the electrical keys
     /// only where the model is electrical.
     pub fn slots(&self) -> Vec<Slot> {
-        let mechanical_only = self.is_mechanical_only();
+        // Where no electrical key is given only the torque balance can be used.
+        let mut given = MotorKey::ALL.into_iter().filter(|key| self.motor.get(*key).is_some());
+        let has_any = given.clone().next().is_some();
+        let mechanical_only = has_any && !given.any(MotorKey::is_electrical);
         let mut slots: Vec<Slot> = MotorKey::ALL
             .into_iter()
             .filter(|key| !(mechanical_only && key.is_electrical()))
@@ -188,13 +191,6 @@ impl Model {
                 && !slot.has_role(ParameterRole::Choice)
         });
         slots
-    }
-
-    /// True when no electrical key is given: only the torque balance can be used.
-    fn is_mechanical_only(&self) -> bool {
-        let mut given = MotorKey::ALL.into_iter().filter(|key| self.motor.get(*key).is_some());
-        let has_any = given.clone().next().is_some();
-        has_any && !given.any(MotorKey::is_electrical)
     }
 
     pub fn get(&self, slot: &Slot) -> Option<f64> {

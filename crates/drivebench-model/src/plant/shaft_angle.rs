@@ -8,13 +8,16 @@ use crate::numerics::statistics::extent;
 /// Each step is the shorter way round; where steps are too large for that, the way nearest to the integral of `speed` (at its
 /// own times, NaN where missing).
 pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    if !is_wrapped(&angle) {
+    // All values within one turn and the last count of an encoder, and steps of more than half a turn.
+    let (least, most) = extent(angle.iter().map(|point| point.1));
+    let steps = || angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
+    let is_wrapped = most - least < 1.02 * TAU && steps().any(|step| step.abs() > 0.5 * TAU);
+    if !is_wrapped {
         return angle;
     }
     let nearest = |step: f64| step - TAU * (step / TAU).round();
-    let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
     // With steps of less than a quarter of a turn the shorter way round is certain.
-    let is_certain = steps.all(|step| nearest(step).abs() < 0.25 * TAU);
+    let is_certain = steps().all(|step| nearest(step).abs() < 0.25 * TAU);
     let speed: &[(f64, f64)] = if is_certain { &[] } else { speed };
     let mut next = 0;
     // The mean of the speeds within an interval, or of the next one, times its length; zero without a speed.
@@ -42,13 +45,6 @@ pub(super) fn continuous(angle: Vec<(f64, f64)>, speed: &[(f64, f64)]) -> Vec<(f
         last = point;
     }
     out
-}
-
-/// All values within one turn and the last count of an encoder, and steps of more than half a turn.
-fn is_wrapped(angle: &[(f64, f64)]) -> bool {
-    let (least, most) = extent(angle.iter().map(|point| point.1));
-    let mut steps = angle.windows(2).map(|pair| pair[1].1 - pair[0].1);
-    most - least < 1.02 * TAU && steps.any(|step| step.abs() > 0.5 * TAU)
 }
 
 #[cfg(test)]

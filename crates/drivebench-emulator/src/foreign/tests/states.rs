@@ -17,8 +17,7 @@ const REFERENCE: Reference<'static> = speed_ref(400.0);
 #[test]
 fn local_control_ends_a_run_and_blocks_set_points() {
     let mut table = table();
-    let sample = table.drive(REFERENCE, 0.5);
-    assert_eq!(sample.hindrance, None);
+    assert_eq!(table.drive(REFERENCE, 0.5).hindrance, None);
     table.far().take_local(true);
     assert_eq!(table.run(REFERENCE).unwrap().hindrance, Some(Hindrance::LocalControl));
     // From here on whoever asks for a run gets nothing written, and is told why.
