@@ -152,7 +152,7 @@ pub(crate) fn diagnosis(
     is_whole: bool,
 ) -> Result<Document, Failure> {
     let context = of_data(&prepared.about, &prepared.run);
-    let mut evidence = prepared.evidence.clone();
+    let mut evidence = prepared.evidence.clone().moved_as(&found.limits);
     let is_electrical = evidence.training.input == Input::Voltage;
     if is_electrical {
         // Without a floor of its own the first fit gave the scale.

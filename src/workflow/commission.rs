@@ -266,6 +266,8 @@ impl Commission {
         self.step_done(Step::Diagnose, &sentence, Task::Analyse);
         publish(self.progress());
 
+        let confirming = confirming.moved_as(&diagnosis.limits);
+        let before = compare(&baseline.model, &confirming, ErrorOf::Structure)?;
         let after = compare(&diagnosis.model.model, &confirming, ErrorOf::Structure)?;
         let confirmed = diagnosis.rungs_on(&confirming.holdout, &confirming.noise)?;
         let line = if diagnosis.effects.is_empty() {

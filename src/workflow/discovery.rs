@@ -208,6 +208,7 @@ impl Discovery {
             found.mark_rivals(&self.rivals);
             found
         };
+        self.evidence = self.evidence.clone().moved_as(&diagnosis.limits);
         if !is_electrical {
             let compared = compare(&diagnosis.baseline.model, &self.evidence, ErrorOf::Structure)?;
             publish(News::Compared(Box::new(compared)));

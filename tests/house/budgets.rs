@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 29_190),
     ("crates/drivebench-control", 6_530),
-    ("crates/drivebench-diagnose", 22_340),
+    ("crates/drivebench-diagnose", 22_370),
     ("crates/drivebench-emulator", 12_990),
     ("crates/drivebench-identify", 23_830),
     ("crates/drivebench-link", 18_490),

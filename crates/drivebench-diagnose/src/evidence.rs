@@ -346,6 +346,23 @@ impl Evidence {
         (self, offsets)
     }
 
+    /// The same with the inputs where a diagnosis of these runs has moved them.
+    #[must_use]
+    pub fn moved_as(mut self, limits: &[Limit]) -> Self {
+        let mut others: Vec<&mut Scenario> = vec![&mut self.holdout];
+        others.extend(self.confirm.iter_mut().chain(&mut self.repeat));
+        for run in others {
+            let offset_s = limits.iter().find_map(|limit| match limit {
+                Limit::OffsetOfRun { run: name, offset_s } if *name == run.name => Some(*offset_s),
+                _ => None,
+            });
+            if let Some(offset_s) = offset_s {
+                *run = run.with_input_later(offset_s);
+            }
+        }
+        self
+    }
+
     /// Takes in a run of the same excitation as `training`. Where the sensors' noise is not known at rest, what the two do
     /// not repeat is the floor.
     pub fn with_repeat(mut self, model: &Model, repeat: Scenario) -> Result<Self, FitError> {

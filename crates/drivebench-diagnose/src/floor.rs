@@ -7,6 +7,7 @@ use super::joint::free_run::{Unpredicted, unpredicted_in};
 use super::limits::RepeatUnknown;
 use super::location::{FailureLocation, locate_difference};
 use super::score::in_noise;
+use super::vetoes::CLEAR_FALL_RATIOS;
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::plant::Model;
@@ -63,9 +64,12 @@ impl<'a> Floor<'a> {
         self.evidence.noise.is_at(self.highest(), nrms)
     }
 
-    /// Share of the explainable error that is explained.
+    /// Share of the explainable error that is explained. A model that clearly falls below the expected errors of stamps and lost rows
+    /// shows that they are smaller.
     pub(super) fn explained(self, before: f64, after: f64) -> f64 {
-        explained(before, after, self.expected())
+        let is_clear = before >= CLEAR_FALL_RATIOS[0] * after;
+        let most = if is_clear { after.max(1.0) } else { f64::INFINITY };
+        explained(before, after, self.expected().min(most))
     }
 
     /// Whether a good part of the error above the floor, with its tolerance, is explained.
@@ -166,5 +170,9 @@ mod tests {
         assert!(!lossy.is_reached(2.2));
         assert!((whole.explained(2.0, 1.25) - 0.8125).abs() < 1e-12);
         assert!((lossy.explained(2.0, 1.25) - 1.0).abs() < 1e-12);
+        // Below what stamps were expected to make: by much, or hardly.
+        let high = of(0.0, 3.0);
+        assert!((high.explained(2.9, 1.9) - 1.0).abs() < 1e-12);
+        assert!(high.explained(2.0, 1.9).abs() < 1e-12);
     }
 }

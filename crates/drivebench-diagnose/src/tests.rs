@@ -260,7 +260,7 @@ fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_
         let confirm = confirm.map(|run| stamped(run, offset_s + more_s));
         let holdout = stamped(holdout, offset_s);
         let data = Evidence::new(stamped(training, offset_s), Some(holdout), confirm);
-        let found = diagnose(&nameplate(), data).unwrap();
+        let found = diagnose(&nameplate(), data.clone()).unwrap();
         assert_eq!(found.effects, machine.effect_ids());
         let model = &found.model.model;
         assert!((model.input_delay_s.unwrap() / offset_s - 1.0).abs() < 0.2, "{model:?}");
@@ -275,6 +275,9 @@ fn the_offset_of_the_hosts_stamps_is_estimated_with_the_named_effects_and_is_no_
             matches!(of_runs[..], [one_s] if (one_s / more_s - 1.0).abs() < 0.2),
             "{of_runs:?}"
         );
+        let step_s = |data: &Evidence| data.confirm.as_ref().unwrap().events[2].0;
+        let moved_s = step_s(&data.clone().moved_as(&found.limits)) - step_s(&data);
+        assert!((moved_s - of_runs[0]).abs() < 1e-9, "{moved_s}");
         assert!(found.confirm.as_ref().unwrap().error_after.unwrap() < 1.6, "{:?}", found.confirm);
         // What the stamps err at random and the fit's share of the offset leave.
         assert!(found.holdout_after < 1.6, "{}", found.holdout_after);

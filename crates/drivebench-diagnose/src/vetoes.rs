@@ -22,7 +22,7 @@ const BY_CHANCE_DEVIANCE: f64 = 10.0;
 
 /// Ratio of the errors before and after from which a fall is significant without the block test, a third of the squares; and
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
-const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
+pub(super) const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
 /// An effect that is not named, and why.
 #[derive(Clone, Copy, Debug, PartialEq)]
