@@ -282,8 +282,9 @@ fn silence_trips_each_watchdog_and_nothing_old_comes_back() {
 
 #[test]
 fn a_trip_of_each_is_a_fault_and_enable_is_not_repeated() {
-    let tells = |name: &&str| profile_with(name, &[]).registers.unwrap().state("fault").is_some();
-    for name in foreign_names().filter(tells) {
+    let has_fault =
+        |name: &&str| profile_with(name, &[]).registers.unwrap().state("fault").is_some();
+    for name in foreign_names().filter(has_fault) {
         let mut table = Table::identified(name, &[]);
         let (reference, _) = target(name);
         table.drive(reference, 1.0);

@@ -319,9 +319,13 @@ pub fn fit_delayed(
 
 /// By how much the input of a run comes later, s, than a model says that was fitted to another run of the same motor: the clock of
 /// a drive with a resolution of 1 ms is known to a part of that in each connection. By its free run, with what is known of both
-/// stamps beforehand; `None` where it does not differ by three standard deviations, or where no host stamped the samples.
+/// stamps beforehand; `None` where it does not differ by three standard deviations, where no host stamped the samples, and where the
+/// instants of holes, sampled changes or limits are known from the same stamps.
 pub fn offset_in(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Option<f64> {
     let half_width_s = scenario.typical_half_width_s()?;
+    if !scenario.unknown_input.is_empty() || !scenario.limits.is_empty() {
+        return None;
+    }
     // Of the difference of two uniform errors.
     let prior_s = half_width_s * (2.0_f64 / 3.0).sqrt();
     let mut held = model.clone();

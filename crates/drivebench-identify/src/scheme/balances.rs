@@ -85,8 +85,8 @@ fn doubt_coarse_sampling(parameters: &mut [ParameterEstimate], scenario: &Scenar
     if time_constant_s.is_some_and(|ta| period_s <= 1.0 / 3.0 * ta) {
         return;
     }
-    let told = |ta: f64| format!("L/R is {:.1} ms", 1e3 * ta);
-    let ta = time_constant_s.map_or_else(|| "L/R is not resolved".to_owned(), told);
+    let resolved = |ta: f64| format!("L/R is {:.1} ms", 1e3 * ta);
+    let ta = time_constant_s.map_or_else(|| "L/R is not resolved".to_owned(), resolved);
     for parameter in parameters.iter_mut() {
         parameter.unsettle(Reason::SampledTooSlowly, format!(
             "{ta} against a period of {:.1} ms: windows need three samples in it; use the output-error fit",

@@ -80,12 +80,12 @@ impl Sequence {
                     if fresh.is_some_and(|(bits, _)| condition.holds(bits)) {
                         self.go_on(now_s);
                     } else if now_s - self.since_s > *within_s {
-                        let told = |(bits, _)| format!("is {bits:#06x}");
-                        let seen = fresh.map_or_else(|| "was not read".to_owned(), told);
+                        let bits_text = |(bits, _)| format!("is {bits:#06x}");
+                        let status = fresh.map_or_else(|| "was not read".to_owned(), bits_text);
                         return Next::Failed {
                             step: self.step(),
                             reason: format!(
-                                "{}: {} {seen} after {within_s} s ({}){}",
+                                "{}: {} {status} after {within_s} s ({}){}",
                                 error.as_deref().unwrap_or("the status did not come"),
                                 condition.signal,
                                 condition.expected(),
