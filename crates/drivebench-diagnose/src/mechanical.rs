@@ -310,8 +310,18 @@ fn instants<'a>(model: &Model, rows: &'a TorqueRows) -> Cow<'a, [Instant]> {
     Cow::Owned(at)
 }
 
-/// The instants of the samples under this torque, N.m in each row: between rows on the line from one to the next.
+/// The instants of the samples under this torque, N.m in each row: between rows on the line from one to the next. It steps with a
+/// commanded current, and is that of its own row there.
 fn transmitting(rows: &TorqueRows, torque_n_m: &[f64]) -> Vec<Instant> {
+    if !rows.spans.is_empty() {
+        let mut at = rows.at.clone();
+        for (row, (begin, end)) in rows.spans.iter().enumerate() {
+            for at in &mut at[*begin..=*end] {
+                at.current_a = torque_n_m[row] / rows.share(row) / at.torque_n_m_per_a;
+            }
+        }
+        return at;
+    }
     let points: Vec<(f64, f64)> =
         rows.time_s.iter().copied().zip(torque_n_m.iter().copied()).collect();
     let driven = |at: &Instant| Instant {
@@ -738,6 +748,57 @@ mod tests {
             let inertia = value("inertia_kg_m2");
             assert!((inertia / 1e-3 - 1.0).abs() < 0.02, "{inertia}");
             assert_eq!(why_not(effect::find("load_dependent_friction").unwrap(), &run), None);
+        }
+    }
+
+    /// A shaft at 20 Hz under torques that step: driven up for .7 s, then braked, which stops it within a few rows.
+    fn stepped(ratio: f64) -> Scenario {
+        let inertia = 2.7e-4;
+        let rate = |torque: f64, way: f64| {
+            // The torque `X / (1 - m q)` as above.
+            let power = (torque * way).signum();
+            (torque * (1.0 - ratio * power) - 0.017 * way) / inertia
+        };
+        let (mut events, mut times, mut speeds) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut speed, mut way, mut stands) = (0.0_f64, 1.0, true);
+        for step in 0..40_000_u32 {
+            let time_s = 5e-4 * f64::from(step);
+            let (period, in_period) = (step / 2000, step % 2000);
+            let drive = if period % 4 < 2 { 0.029 } else { 0.045 };
+            if in_period == 0 {
+                (way, stands) = (-way, true);
+                events.push((time_s, way * drive));
+            } else if in_period == 1400 {
+                events.push((time_s, -way * drive));
+            }
+            if step % 100 == 3 {
+                times.push(time_s);
+                speeds.push(speed);
+            }
+            let driving = if in_period < 1400 { way * drive } else { -way * drive };
+            let next = speed + 5e-4 * rate(driving, if stands { way } else { speed.signum() });
+            // It rests from the end of the braking to the next step.
+            let stops = !stands && next * speed <= 0.0;
+            speed = if stops || (in_period >= 1400 && speed == 0.0) { 0.0 } else { next };
+            stands = speed == 0.0;
+        }
+        let steps_s = events.iter().skip(1).map(|event| event.0).collect();
+        let current_a = vec![f64::NAN; times.len()];
+        let run = Scenario::planned("stepped", Input::Torque, Channel::Torque, events, times);
+        let mut run = Scenario { current_a, speed_rad_s: speeds, current_steps_s: steps_s, ..run };
+        run.find_scales();
+        run
+    }
+
+    #[test]
+    fn the_few_rows_in_which_a_shaft_is_braked_count() {
+        for ratio in [0.0, 0.05, 0.2] {
+            let found = fitted(&stepped(ratio));
+            let value =
+                |key: &str| ParameterEstimate::find(&found.parameters, key).unwrap().value.unwrap();
+            let off = value("load_dependent_friction.ratio") - ratio;
+            assert!(off.abs() < 0.005, "{ratio}: {off}");
+            assert!((value("inertia_kg_m2") / 2.7e-4 - 1.0).abs() < 0.01);
         }
     }
 

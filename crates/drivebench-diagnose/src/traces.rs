@@ -352,8 +352,11 @@ const fn rows_of(sides: &Sides, part: Part) -> Option<&TorqueRows> {
 fn torque(model: &Model, rows: &TorqueRows, run: &Scenario, noise: Option<f64>) -> SignalTrace {
     let time_s: Vec<f64> = rows.time_s.iter().map(|t| t - run.begin_s()).collect();
     let model = mechanical::predicted(&mechanical::with_events_of(model, rows), rows);
-    let trace = SignalTrace::new(Quantity::Channel(Channel::Torque), time_s, rows.left.clone());
-    SignalTrace { model, noise, ..trace }
+    let means = |torques: &[f64]| -> Vec<f64> {
+        torques.iter().enumerate().map(|(row, torque)| torque / rows.share(row)).collect()
+    };
+    let trace = SignalTrace::new(Quantity::Channel(Channel::Torque), time_s, means(&rows.left));
+    SignalTrace { model: means(&model), noise, ..trace }
 }
 
 #[cfg(test)]

@@ -265,6 +265,8 @@ pub struct TorqueRows {
     pub time_s: Vec<f64>,
     /// Motor torque, N.m.
     pub left: Vec<f64>,
+    /// First and last sample of each row that is an integral over a window of its own length, divided by `span_s`; else empty.
+    pub spans: Vec<(usize, usize)>,
     /// Regressor of the inertia.
     pub inertia: Vec<f64>,
     /// Standard deviations of a mean and of a mean rate under white noise of unit variance: the norms of the weights of a row; NaN
@@ -279,6 +281,13 @@ pub struct TorqueRows {
 impl TorqueRows {
     pub fn rows(&self) -> usize {
         self.left.len()
+    }
+
+    /// Length of the window of a row over the usual one.
+    pub fn share(&self, row: usize) -> f64 {
+        let length_s =
+            |(begin, end): &(usize, usize)| self.at[*end].time_s - self.at[*begin].time_s;
+        self.spans.get(row).map_or(1.0, |span| length_s(span) / self.span_s)
     }
 
     /// The column of a term with these values at the samples; NaN in rows with a missing value.

@@ -115,6 +115,25 @@ impl Window {
         Self { begin, middle_s, weights, rates }
     }
 
+    /// The integral over the samples `begin..=end` (the test function is one), over `nominal_s`: noise of the ends makes the same error
+    /// of a rate in a window of any length.
+    pub fn integral(times: &[f64], begin: usize, end: usize, nominal_s: f64) -> Self {
+        let weight = |sample: usize| {
+            let before = times[sample.saturating_sub(1).max(begin)];
+            let after = times[(sample + 1).min(end)];
+            0.5 * (after - before) / nominal_s
+        };
+        let rate = |sample: usize| {
+            f64::from(i8::from(sample == end) - i8::from(sample == begin)) / nominal_s
+        };
+        Self {
+            begin,
+            middle_s: 0.5 * (times[begin] + times[end]),
+            weights: (begin..=end).map(weight).collect(),
+            rates: (begin..=end).map(rate).collect(),
+        }
+    }
+
     pub fn mean(&self, values: &[f64]) -> f64 {
         self.mean_of(|sample| values[sample])
     }
@@ -153,6 +172,19 @@ mod tests {
         assert_eq!(between(2.5, 2.5), []);
         assert!((mean(&STEPS, 0.5, 2.5) - 6.0).abs() < 1e-15);
         assert!((integral(&STEPS, -2.0, -1.0) - 5.0).abs() < 1e-15);
+    }
+
+    #[test]
+    fn an_integral_has_the_change_and_the_area_of_its_window() {
+        let times = [0.0, 0.1, 0.3, 0.6, 1.0];
+        let window = Window::integral(&times, 1, 4, 2.0);
+        let line: Vec<f64> = times.iter().map(|t| 3.0 * t - 1.0).collect();
+        assert!((window.mean_rate(&line) - 3.0 * 0.9 / 2.0).abs() < 1e-15);
+        assert!((window.mean(&line) - 0.9 * (3.0 * 0.55 - 1.0) / 2.0).abs() < 1e-15);
+        assert!((window.middle_s - 0.55).abs() < 1e-15);
+        // The noise of the ends, whatever the length.
+        let short = Window::integral(&times, 0, 1, 2.0);
+        assert!((window.gains().1 - short.gains().1).abs() < 1e-15);
     }
 
     #[test]

@@ -583,6 +583,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         scales: scenario.scales,
         time_s,
         left,
+        spans: Vec::new(),
         inertia,
         gain: f64::NAN,
         rate_gain: f64::NAN,
