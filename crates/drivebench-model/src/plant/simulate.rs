@@ -432,7 +432,8 @@ impl Plant {
         }
     }
 
-    /// One sub-step, in shorter pieces where an effect is too steep for its length.
+    /// One sub-step, in shorter pieces where an effect is too steep for its length: each of these in its turn, so that the current is
+    /// followed closely only where the effect is steep.
     #[inline]
     fn resolved_step(&mut self, state: &mut State, at: Instant, h: f64) {
         if self.steep.is_empty() {
@@ -452,7 +453,7 @@ impl Plant {
         let piece_s = h / pieces as f64;
         for piece in 0..pieces {
             let at = Instant { time_s: at.time_s + piece as f64 * piece_s, ..at };
-            self.sub_step(state, at, piece_s);
+            self.resolved_step(state, at, piece_s);
         }
     }
 

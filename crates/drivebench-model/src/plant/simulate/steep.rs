@@ -23,6 +23,8 @@ use crate::plant::scenario::Input;
 pub(super) struct Steep {
     /// `(from, to, rate)` in A and 1/s, in the order of the currents. Empty without stiffness.
     cells: Vec<(f64, f64, f64)>,
+    /// No piece is shorter.
+    least_step_s: f64,
 }
 
 /// The rate that effects add under a voltage, in cells of the current; empty where none does.
@@ -56,21 +58,27 @@ impl Steep {
     pub(super) fn of(equations: &Equations, longest_step_s: f64, most_v: f64) -> Self {
         let mut cells = table(equations, most_v);
         cells.retain(|(_, _, rate)| rate * longest_step_s > 1.0);
-        Self { cells }
+        // A stiffer effect than 256 pieces resolve is not physical, but occurs in trials of a fit.
+        Self { cells, least_step_s: longest_step_s / 256.0 }
     }
 
     pub(super) const fn is_empty(&self) -> bool {
         self.cells.is_empty()
     }
 
-    /// Number of pieces of a sub-step of length `h` whose current went from one value to the other, at most 256: a stiffer effect
-    /// is not physical, but occurs in trials of a fit.
+    /// Number of pieces, at most four, of a sub-step of length `h` whose current went from one value to the other; each of them is
+    /// divided in its turn. A current that stood still stays where it is in a step of any length.
     pub(super) fn pieces(&self, from_a: f64, to_a: f64, h: f64) -> usize {
         let (low, high) = (from_a.min(to_a), from_a.max(to_a));
         let first = self.cells.partition_point(|cell| cell.1 < low);
         let between = self.cells[first..].iter().take_while(|cell| cell.0 <= high);
-        let rate = between.fold(0.0_f64, |most, cell| most.max(cell.2));
-        let pieces = whole((rate * h / 0.5).ceil().min(256.0));
-        if rate * h <= 1.0 { 1 } else { pieces }
+        let (rate, width_a) = between.fold((0.0_f64, 0.0), |(most, width_a), (from, to, rate)| {
+            (most.max(*rate), f64::max(width_a, to - from))
+        });
+        let stands = high - low <= 1e-9 * width_a;
+        if rate * h <= 1.0 || stands || h <= self.least_step_s {
+            return 1;
+        }
+        whole((rate * h / 0.5).ceil().min(4.0))
     }
 }

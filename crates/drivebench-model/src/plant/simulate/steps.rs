@@ -24,23 +24,24 @@ pub(super) fn is_same(one_s: f64, other_s: f64) -> bool {
     (one_s - other_s).abs() <= 1e-9 * other_s
 }
 
-/// Cache of the propagators of the two latest step lengths: a command between two samples makes two lengths.
+/// Cache of the propagators of the latest step lengths: a command between two samples makes two, and a steep effect has each of them in
+/// pieces of four lengths.
 #[derive(Clone, Debug)]
 pub(super) struct Steps {
     linear: LinearPart,
     with_half: bool,
-    latest: [Step; 2],
+    latest: [Step; 10],
     last: usize,
 }
 
 impl Steps {
     pub(super) fn new(a: &M2, with_half: bool) -> Self {
-        Self { linear: LinearPart::new(a), with_half, latest: [Step::default(); 2], last: 0 }
+        Self { linear: LinearPart::new(a), with_half, latest: [Step::default(); 10], last: 0 }
     }
 
     /// Empties the cache, so that the rounding of a run does not depend on the run before.
     pub(super) fn clear(&mut self) {
-        self.latest = [Step::default(); 2];
+        self.latest = [Step::default(); 10];
         self.last = 0;
     }
 
@@ -48,16 +49,18 @@ impl Steps {
     #[inline]
     pub(super) fn over(&mut self, length_s: f64) -> &Step {
         if !self.latest[self.last].has_length(length_s) {
-            self.last = 1 - self.last;
-            if !self.latest[self.last].has_length(length_s) {
-                self.make(length_s);
-            }
+            self.find_or_make(length_s);
         }
         &self.latest[self.last]
     }
 
     #[inline(never)]
-    fn make(&mut self, length_s: f64) {
+    fn find_or_make(&mut self, length_s: f64) {
+        let known = self.latest.iter().position(|step| step.has_length(length_s));
+        self.last = known.unwrap_or((self.last + 1) % self.latest.len());
+        if known.is_some() {
+            return;
+        }
         let (whole, half) = if self.with_half {
             self.linear.over_both(length_s)
         } else {

@@ -215,6 +215,22 @@ fn steep_effects_settle_on_a_motor_of_little_inductance() {
 }
 
 #[test]
+fn a_steep_effect_costs_where_the_current_changes_in_it_alone() {
+    let mut model = model(&[("voltage_drop", &[1.5])]);
+    model.motor = testing::motor("small", &[0.8, 5e-4, 0.05, 3e-5, 0.01]);
+    let work = |volts: f64| {
+        let run = scenario(held([0.0, 0.05], [0.0, volts]), 0.001, 450);
+        let mut plant = Plant::new(&model, Input::Voltage).unwrap();
+        plant.simulate(&run, State::default());
+        plant.work()
+    };
+    // Two sub-steps a row, each of which costs ten of a linear motor; a start passes the place once.
+    let [rest, start] = [0.0, 12.0].map(work);
+    assert!((8900..9100).contains(&rest), "{rest}");
+    assert!(start < rest + rest / 4, "{start}");
+}
+
+#[test]
 fn no_place_is_steep_on_an_ordinary_motor() {
     let cases: [Effects<'_>; 4] = [
         &[("voltage_drop", &[1.0])],
