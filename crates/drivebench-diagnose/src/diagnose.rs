@@ -267,9 +267,9 @@ pub fn diagnose(model: &Model, evidence: Evidence) -> Result<Diagnosis, FitError
     diagnose_with(model, evidence, &silent)
 }
 
-/// Refits `model` as the baseline and searches for what it misses. Where the host stamped commands and samples, the offset of
-/// these stamps is estimated with the effects that were found, and the search is repeated with it: an inductance or a filter of
-/// the baseline absorbs part of an offset.
+/// Refits `model` as the baseline and searches for what it misses. Where the host stamped commands and samples, the offsets of
+/// these stamps in each run are estimated with the effects that were found, and the search is repeated with them: an inductance or a
+/// filter of the baseline absorbs part of an offset, and the error of a missing effect makes one.
 pub fn diagnose_with(
     model: &Model,
     evidence: Evidence,
@@ -279,11 +279,11 @@ pub fn diagnose_with(
     let training = &evidence.training;
     let has_offset = training.input == Input::Voltage && training.is_stamped_by_host();
     let again = has_offset.then(|| evidence.clone());
-    let (mut model, mut begun) = (model.clone(), begin(model, evidence, progress)?);
+    let (mut model, mut begun) = (model.clone(), begin(model, evidence, None, progress)?);
     if let Some(evidence) = again
-        && let Some(delayed) = with_offset(&model, &begun, &evidence)?
+        && let Some((delayed, better)) = with_offset(&model, &begun, &evidence)?
     {
-        begun = begin(&delayed, evidence, progress)?;
+        begun = begin(&delayed, evidence, Some(&better), progress)?;
         model = delayed;
     }
     let Begun { bench, baseline, eligible, inference } = begun;
@@ -298,7 +298,7 @@ pub fn diagnose_with(
     let eligible_of_all: Vec<&'static dyn Effect> = eligible_of_all.copied().collect();
     let of_all = bench.infer(&baseline, &eligible_of_all, progress)?;
     let all = Conclusion::of(bench, &baseline, of_all, progress)?;
-    let (bench, baseline) = Bench::for_fits_of(&found, &model, several)?;
+    let (bench, baseline) = Bench::for_fits_of(&found, &model, several, None)?;
     let inference = bench.infer(&baseline, &eligible, progress)?;
     let first = Conclusion::of(bench, &baseline, inference, progress)?;
     let better = if all.held_out_by(&first)? < first.held_out_by(&first)? { all } else { first };
@@ -313,22 +313,27 @@ struct Begun {
     inference: Inference,
 }
 
-fn begin(model: &Model, evidence: Evidence, progress: Progress<'_>) -> Result<Begun, FitError> {
+fn begin(
+    model: &Model,
+    evidence: Evidence,
+    better: Option<&Model>,
+    progress: Progress<'_>,
+) -> Result<Begun, FitError> {
     progress(Event::Begun { stage: Stage::Baseline, of: 0 });
-    let (bench, baseline) = Bench::new(model, evidence)?;
+    let (bench, baseline) = Bench::for_fits_of(&[], model, evidence, better)?;
     progress(Event::Begun { stage: Stage::Screen, of: CATALOGUE.len() });
     let eligible = eligible(&baseline.model, None);
     let inference = bench.infer(&baseline, &eligible, progress)?;
     Ok(Begun { bench, baseline, eligible, inference })
 }
 
-/// `model` with the offset of the stamps that fits best with the effects that were found; `None` where it has that already. A delay
-/// of the commands within the uncertainty of the stamps is this offset.
+/// `model` with the offset of the stamps that fits best with the effects that were found, and the model with these; `None` where the
+/// offsets of all runs are those of the search already. A delay of the commands within the uncertainty of the stamps is this offset.
 fn with_offset(
     model: &Model,
-    Begun { baseline, inference, .. }: &Begun,
+    Begun { bench, baseline, inference, .. }: &Begun,
     evidence: &Evidence,
-) -> Result<Option<Model>, FitError> {
+) -> Result<Option<(Model, Model)>, FitError> {
     let Some((_, prior_s)) = evidence.training.input_delay_s() else {
         return Ok(None);
     };
@@ -345,9 +350,18 @@ fn with_offset(
     }
     let fit = output_error::fit_delayed(&[found], &evidence.training, &evidence.noise)?;
     let after_s = fit.model.input_delay_s.unwrap_or(before_s);
+    let (_, offsets) = evidence.clone().aligned(&fit.model);
+    let offset_s = |of: &[(String, f64)], run: &str| {
+        of.iter().find(|own| own.0 == run).map_or(0.0, |own| own.1)
+    };
+    let moved = offsets
+        .iter()
+        .chain(&bench.offsets)
+        .map(|(run, _)| offset_s(&offsets, run) - offset_s(&bench.offsets, run));
     // A twentieth of what is known of it beforehand is within the errors of an inductance or a filter.
-    let changes = (after_s - before_s).abs() > 0.05 * prior_s;
-    Ok(changes.then(|| Model { input_delay_s: Some(after_s), ..model.clone() }))
+    let changes = |offset_s: f64| offset_s.abs() > 0.05 * prior_s;
+    let is_other = changes(after_s - before_s) || moved.into_iter().any(changes);
+    Ok(is_other.then(|| (Model { input_delay_s: Some(after_s), ..model.clone() }, fit.model)))
 }
 
 /// A ladder of which no effect is vetoed, with its runs and its inference.

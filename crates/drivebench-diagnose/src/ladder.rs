@@ -69,27 +69,30 @@ pub(super) struct Confirming {
 pub(super) struct Bench {
     pub(super) evidence: Evidence,
     balance: Option<Balance>,
-    /// The model as it was given, before it was refitted.
+    /// The model as it was given, before it was refitted, and a better one from which a search may start.
     given: Model,
+    better: Option<Model>,
     /// Which runs are set aside.
     aside: Option<SetAside>,
     /// Which part of long runs is searched.
     searched: Option<Limit>,
     /// By how much the input of a run was moved, s.
-    offsets: Vec<(String, f64)>,
+    pub(super) offsets: Vec<(String, f64)>,
 }
 
 impl Bench {
-    /// With the refitted baseline.
+    /// With the refitted baseline, by which the inputs of the other runs are moved.
     pub(super) fn new(model: &Model, evidence: Evidence) -> Result<(Self, Fitted), FitError> {
-        Self::for_fits_of(&[], model, evidence)
+        Self::for_fits_of(&[], model, evidence, None)
     }
 
-    /// The same for fits of these effects besides those of the model.
+    /// The same for fits of these effects besides those of the model; the inputs of the other runs are moved by `better`, a model that
+    /// was fitted to the training run.
     pub(super) fn for_fits_of(
         beside: &[&'static str],
         model: &Model,
         evidence: Evidence,
+        better: Option<&Model>,
     ) -> Result<(Self, Fitted), FitError> {
         let effects = [&model.effect_ids()[..], beside].concat();
         let alone = match evidence.fitted_with(&effects) {
@@ -101,7 +104,7 @@ impl Bench {
         let mut offsets = Vec::new();
         let (balance, fit) = if evidence.training.input == Input::Voltage {
             let (with_floor, fit) = evidence.with_baseline(model)?;
-            (evidence, offsets) = with_floor.aligned(&fit.model);
+            (evidence, offsets) = with_floor.aligned(better.unwrap_or(&fit.model));
             (None, Fitted::from(fit))
         } else {
             let (balance, fit) = Balance::new(model, &evidence)?;
@@ -110,8 +113,8 @@ impl Bench {
             let fit = balance.fitted(fit, &evidence);
             (Some(balance), fit)
         };
-        let bench = Self { evidence, balance, given: model.clone(), aside, searched, offsets };
-        Ok((bench, fit))
+        let (given, better) = (model.clone(), better.cloned());
+        Ok((Self { evidence, balance, given, better, aside, searched, offsets }, fit))
     }
 
     /// Joint inference of these effects besides the baseline from all runs.
@@ -123,8 +126,8 @@ impl Bench {
     ) -> Result<Inference, FitError> {
         let mut needless: Vec<&'static str> = Vec::new();
         loop {
-            let (given, evidence) = (&self.given, &self.evidence);
-            let mut inference = infer(baseline, given, eligible, &needless, evidence, progress)?;
+            let (before, evidence) = (self.better.as_ref().unwrap_or(&self.given), &self.evidence);
+            let mut inference = infer(baseline, before, eligible, &needless, evidence, progress)?;
             if !self.fits_at_once() {
                 return Ok(inference);
             }
@@ -564,7 +567,7 @@ pub fn add(
     evidence: Evidence,
 ) -> Result<AddResult, FitError> {
     let id = effect.card().id;
-    let (bench, before) = Bench::for_fits_of(&[id], model, evidence)?;
+    let (bench, before) = Bench::for_fits_of(&[id], model, evidence, None)?;
     let eligible = eligible(&before.model, Some(effect));
     let inference = bench.infer(&before, &eligible, &silent)?;
     // Where it is not eligible the answer is the model as it was.

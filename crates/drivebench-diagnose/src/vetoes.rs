@@ -49,6 +49,8 @@ findings! {
         SizeMayBeZero = "size_may_be_zero",
         /// The same by the balance of torques.
         SizeMayBeZeroInBalance = "size_may_be_zero_in_the_balance",
+        /// Lags are known to this time only.
+        ShortLag { known_s: f64 } = "lag_within_a_period",
         NoInertia = "no_inertia_left",
         ByChance = "no_better_than_chance",
         /// Most stays unexplained with all of them.
@@ -89,7 +91,8 @@ pub(super) fn first(
         .or_else(|| unsearched(inference.is_cut(), named, &errors))
         .or_else(|| unresolved(bench, named, rungs))
         .or_else(|| at_bound(bench, inference, named, rungs))
-        .or_else(|| without_size(bench, named, rungs))
+        .or_else(|| without_size(named, rungs))
+        .or_else(|| short_lag(bench, named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
@@ -171,23 +174,38 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
     })
 }
 
-/// The last named effect whose size is not significant in the fit with all of them, or is a seventh of the lag that the speed is known
-/// to have: its time and its kind are known to that.
-fn without_size(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+/// The last named effect whose size is not significant in the fit with all of them; of an event to three standard deviations, since
+/// it is the largest of those at all times.
+fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
-    let known_s = bench.evidence.training.sensors.speed.total_s() / 7.0;
-    let is_of_known_lag = |id: &str| {
-        let mut own = fit.model.effects.iter().filter(|active| active.id() == id);
-        own.any(|active| {
-            let path = active.effect.terms(&active.values_or_guess()).path();
-            (f64::MIN_POSITIVE..=known_s).contains(&(path.speed_delay_s + path.speed_filter_s))
-        })
-    };
+    let least_sigmas =
+        |id: &str| if happens_once(id) { CONFIRMED_SIGMAS } else { SIGNIFICANT_SIGMAS };
     let mut named = named.iter().rev().copied();
-    let effect = named.find(|id| {
-        fit.is_significant(id, SIGNIFICANT_SIGMAS) == Some(false) || is_of_known_lag(id)
-    })?;
+    let effect = named.find(|id| fit.is_significant(id, least_sigmas(id)) == Some(false))?;
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
+}
+
+/// The last named lag that is too short for its kind to be known.
+fn short_lag(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    let fit = &rungs.last()?.fit;
+    named.iter().rev().find_map(|id| {
+        let active = fit.model.effects.iter().find(|active| active.id() == *id)?;
+        let reason = within_a_period(active, &bench.evidence.training)?;
+        Some(Veto { effect: id, reason })
+    })
+}
+
+/// A lag of a reading below a seventh of the lag that it is known to have, to which its time and its kind are known, or of the period
+/// between two readings, within which an inductance, or another form of an effect, does the same; or a delay after a rest below the same
+/// part of that period, to which the instants of a command, and friction at rest, are not known.
+fn within_a_period(active: &ActiveEffect, run: &Scenario) -> Option<VetoReason> {
+    let period_s = run.mean_period_s() / 7.0;
+    let of_speed_s = period_s.max(run.sensors.speed.total_s() / 7.0);
+    let path = active.effect.terms(&active.values_or_guess()).path();
+    let others_s = path.current_filter_s.max(path.start_delay_s).max(path.restart_delay_s);
+    let lags = [(path.speed_delay_s + path.speed_filter_s, of_speed_s), (others_s, period_s)];
+    let mut known = lags.into_iter().filter(|(lag_s, known_s)| *lag_s > 0.0 && lag_s <= known_s);
+    known.next().map(|(_, known_s)| VetoReason::ShortLag { known_s })
 }
 
 /// The effect with which the estimated inertia of a balance is no longer positive: its column is collinear with the balance
@@ -276,16 +294,21 @@ fn without_use(
         // A balance of torques with an error below the floor has systematic errors of its sensors, which are no noise: only a clear
         // fall is an effect (0.30 to 0.28 floors, of a current by a few thousandths, is none). An error of a free run that unknown
         // commands explain, and the noise does not, hides what an effect does; it must not rise, and
-        // an event, which need not occur in the hold-out, must be clear in some run.
+        // an event, which need not occur in the hold-out, must be clear in some run. At the noise an event after other effects must
+        // show at all: their forms differ from those of the machine, to which an event of a few percent was fitted.
         let is_noise = floor.is_noise(last);
+        let clear = CLEAR_FALL_RATIOS[0];
         let is_none = |(pair, id): &(&[Standing], &&str)| {
             let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
             if bench.fits_at_once() {
-                let is_below = before < floor.expected() && before < CLEAR_FALL_RATIOS[0] * after;
-                is_below || is_faint_event(id, pair)
+                let is_below = before < floor.expected() && before < clear * after;
+                is_below || is_faint_event(id, pair, clear)
             } else {
                 let is_of_sensors = bench.evidence.noise.is_at_the_floor(last);
-                !is_noise && before <= after || !is_of_sensors && is_faint_event(id, pair)
+                let ratio = if is_of_sensors { AS_GOOD } else { clear };
+                let is_first = pair[0].fit.model.effects.is_empty();
+                let may_be_faint = is_of_sensors && is_first;
+                !is_noise && before <= after || !may_be_faint && is_faint_event(id, pair, ratio)
             }
         };
         let mut steps = rungs.windows(2).zip(named).rev();
@@ -299,7 +322,7 @@ fn without_use(
                 !floor.is_reached(before) && floor.is_explained_in_part(before, after)
             };
             let is_as_good = held_out[1] <= AS_GOOD * held_out[0];
-            bench.fits_at_once() && is_faint_event(id, pair)
+            bench.fits_at_once() && is_faint_event(id, pair, CLEAR_FALL_RATIOS[0])
                 || !(explains(held_out) || explains(fitted) && is_as_good)
         } else {
             // Where the innovations are white with a known noise, the posterior accounts for the drift of the free run.
@@ -322,9 +345,9 @@ fn without_use(
     named.find(|(id, pair)| is_of_no_use(id, pair)).map(|(effect, pair)| not_lower(effect, pair))
 }
 
-/// Whether an event does not clearly lower the error of any run: lags of the speed, gains and offsets of stamps differ from run to run.
-fn is_faint_event(id: &str, pair: &[Standing]) -> bool {
-    let is_clear = |[before, after]: [f64; 2]| before >= CLEAR_FALL_RATIOS[0] * after;
+/// Whether an event does not lower the error of any run by this ratio.
+fn is_faint_event(id: &str, pair: &[Standing], ratio: f64) -> bool {
+    let is_clear = |[before, after]: [f64; 2]| before >= ratio * after;
     let held_out = [pair[0].score.nrms, pair[1].score.nrms];
     let fitted = [pair[0].fit.nrms, pair[1].fit.nrms];
     happens_once(id) && !is_clear(held_out) && !is_clear(fitted)
@@ -402,6 +425,27 @@ mod tests {
                 _ => None,
             };
             assert_eq!(key, expected, "{id} {values:?}");
+        }
+    }
+
+    #[test]
+    fn a_lag_within_a_period_has_no_kind() {
+        let mut run = record(&nameplate(), 0, 1);
+        let period_s = run.mean_period_s();
+        for (id, periods, known_s, is_short) in [
+            ("current_filter", 0.13, 0.0, true),
+            ("current_filter", 0.2, 0.0, false),
+            ("speed_delay", 0.13, 0.0, true),
+            ("speed_delay", 0.2, 0.0, false),
+            ("speed_filter", 0.2, 2.0, true),
+            ("current_filter", 0.2, 2.0, false),
+            ("restart_delay", 0.1, 0.0, true),
+            ("command_delay", 0.1, 0.0, false),
+            ("viscous_friction", 0.1, 0.0, false),
+        ] {
+            run.sensors.speed.filter_s = known_s * period_s;
+            let found = within_a_period(&active(id, &[periods * period_s]), &run);
+            assert_eq!(found.is_some(), is_short, "{id} {periods} {known_s}");
         }
     }
 

@@ -97,6 +97,10 @@ pub fn veto(reason: &VetoReason) -> String {
             format!("its frequency is not determined ({found_hz:.1} ± {std_hz:.1} Hz)")
         }
         VetoReason::ShapeAtBound { key, bound } => format!("{key} is at its bound, {bound:.1e}"),
+        VetoReason::ShortLag { known_s } => format!(
+            "these readings do not distinguish a lag below {} ms from an inductance, friction at rest or another form",
+            significant(1e3 * known_s, 2)
+        ),
         VetoReason::SizeMayBeZero => "in the fit with it its size is not significant".to_owned(),
         VetoReason::SizeMayBeZeroInBalance => "its size in the balance may be zero".to_owned(),
         VetoReason::NoInertia => {

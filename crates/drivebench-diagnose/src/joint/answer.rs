@@ -26,7 +26,7 @@ use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
 use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::{
-    ActiveEffect, Effect, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, State,
+    ActiveEffect, Effect, Enters, Input, Instant, Model, MotorKey, ParameterSpec, Scenario, State,
 };
 use nalgebra::DVector;
 use serde::Serialize;
@@ -214,6 +214,11 @@ impl Inference {
         let own = self.effects.iter_mut().find(|own| own.id() == veto.effect);
         if let Some(own) = own.filter(|own| !is_halved && own.probability > NAMED_PROBABILITY) {
             own.probability = shrunk_to_prior(own.probability, own.effect.card().share_beforehand);
+        }
+        // Of a lag that is too short for its kind the others are no more refuted than itself.
+        if matches!(veto.reason, VetoReason::ShortLag { .. }) {
+            let is_lag = |own: &&mut Inferred| own.effect.card().enters == Enters::Path;
+            self.effects.iter_mut().filter(is_lag).for_each(Inferred::leave_open);
         }
         self.named.retain(|named| *named != veto.effect);
         self.confusable.retain(|pair| pair[0] != veto.effect);
