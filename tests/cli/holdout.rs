@@ -3,7 +3,7 @@
 use crate::kit::prelude::*;
 use std::sync::OnceLock;
 
-use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, push, steps};
+use crate::kit::motor_log::{Bench, COLUMNS, Row, csv, steps};
 /// `share` of the steps.
 fn record(bench: Bench, share: f64) -> Vec<Row> {
     bench.record(|time_s| share * steps(time_s))
@@ -170,52 +170,6 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
         has(&page, &["of voltage_v are missing"]);
         let dropped = "Rows of the file that were dropped: 1";
         assert!(page.contains(dropped), "{command}: {page}");
-    }
-}
-
-#[test]
-fn a_later_standstill_gives_the_noise_floor() {
-    let desk = Desk::new();
-    let bench = Bench { turning: 80.0, ..again(31) };
-    let rows = record(bench, 1.0);
-    let run = desk.put("coasts.csv", &text_of(&rows, |_| {}));
-    let nameplate = desk.nameplate();
-    let done = call("compare {} --json --model {}", &[&run, &nameplate]).expect(0);
-    let floor = done.json()["signals"]["speed_rad_s"]["noise_floor"].as_f64();
-    assert!(floor > Some(0.1) && floor < Some(0.2), "{floor:?}");
-}
-
-#[test]
-fn gaps_in_a_file_are_reported() {
-    let desk = Desk::new();
-    let nameplate = desk.nameplate();
-    let mut text = format!("{COLUMNS}\n");
-    for row in good() {
-        if !(3.2..4.1).contains(&row[0]) {
-            push(&mut text, &row[..4]);
-        }
-    }
-    let gap = desk.put("gap.csv", &text);
-    let done = call("compare {} --json --model {}", &[&gap, &nameplate]).expect(0);
-    has(&done.stderr, &["the longest time without 0.900 s from 3.200 s on"]);
-    let mut holes = format!("{COLUMNS}\n");
-    for (k, row) in good().iter().enumerate() {
-        let volts = if k % 10 == 9 { String::new() } else { row[1].to_string() };
-        let _ = writeln!(holes, "{},{volts},{},{}", row[0], row[2], row[3]);
-    }
-    let holes = desk.put("holes.csv", &holes);
-    let done = call("compare {} --json --model {}", &[&holes, &nameplate]).expect(0);
-    has(&done.stderr, &[" of 1,599 rows of voltage_v are missing"]);
-}
-
-#[test]
-fn a_second_run_is_told_which_option_it_belongs_to() {
-    let runs = Runs::hidden();
-    let (fit, holdout): (&Path, &Path) = (&runs.fit, &runs.holdout);
-    for command in ["compare", "diagnose"] {
-        let text = format!("{command} {{}} {{}} --holdout {{}}");
-        let told = refusal(&text, &[fit, holdout, holdout]);
-        has(&told, &["another is given", "--holdout", "--model"]);
     }
 }
 

@@ -19,7 +19,6 @@ pub(crate) fn keep_what_scrolls(session: &mut Session) {
 
 const ADD: &str = "a add";
 const UP: &str = "\u{1b}[A";
-const DOWN: &str = "\u{1b}[B";
 
 #[test]
 fn one_key_adds_an_effect_and_the_error_falls_to_the_floor() {
@@ -58,33 +57,6 @@ fn one_key_adds_an_effect_and_the_error_falls_to_the_floor() {
     session.expect_terminal_as_it_was();
     let model = fs::read_to_string(folder.path("found.toml")).unwrap();
     has(&model, &["id = \"stribeck_friction\""]);
-}
-
-#[test]
-fn a_small_terminal_shows_the_size_and_scrolls_the_help() {
-    let folder = Desk::new();
-    let mut session = diagnose("", folder.folder(), (60, 20));
-    session.wait_for(ADD);
-    let shown = session.text();
-    let row = shown.lines().find(|row| row.contains("▶")).unwrap();
-    assert!(row.contains("stribeck_friction") && row.contains("N.m"), "{shown}");
-    assert!(shown.trim_end().ends_with("q leave"), "{shown}");
-    session.press("?");
-    session.wait_for("more below");
-    for _ in 0..30 {
-        session.press(DOWN);
-    }
-    session.wait_for("A name is an equation");
-    session.press("x");
-    session.wait("help closed", |screen| !screen.contents().contains("A name is"));
-    session.press("n");
-    session.wait_for("open questions");
-    session.press("q");
-    session.wait_for(ADD);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    // The answer stays behind in the terminal.
-    has(&session.text(), &["rul"]);
 }
 
 #[test]
@@ -287,28 +259,6 @@ fn ctrl_z_says_why_not_while_the_bench_is_at_work() {
 }
 
 #[test]
-fn u_takes_back_what_a_has_added() {
-    let folder = Desk::new();
-    let mut session = diagnose("", folder.folder(), (100, 30));
-    session.wait_for(ADD);
-    session.press("a");
-    session.wait_for("NOTHING MISSING");
-    session.wait_for("▶ + in the model stribeck_friction");
-    session.press("b");
-    session.wait_for("BEFORE the last change");
-    session.press("u");
-    session.wait_for("undone: stribeck_friction");
-    session.wait_for("EFFECT FOUND: stribeck_friction");
-    lacks(&session.text(), &["+ in the model"]);
-    keep_what_scrolls(&mut session);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    let left = session.text();
-    has(&left, &["EFFECT FOUND"]);
-    lacks(&left, &["+ stribeck_friction: held-out error"]);
-}
-
-#[test]
 fn a_model_is_whole_in_its_file_after_q_and_after_ctrl_c() {
     for (keys, status) in [("wq", 0), ("w\u{3}", 130)] {
         let folder = Desk::new();
@@ -356,23 +306,6 @@ fn a_recorded_run_is_searched_only_after_d() {
         session.wait_for("speed: measured - model");
         session.press("v");
         session.wait_for("run 1 of 2");
-        session.press("j");
-        session.wait_for("┊");
-        session.press("\t");
-        session.wait_for("fit run: ");
-        session.press("o");
-        session.wait_for("Enter shows or hides");
-        session.press("\u{1b}");
-        session
-            .wait("the list closed", |screen| !screen.contents().contains("Enter shows or hides"));
-        session.press("q");
-        session.wait_for("d diagnose");
-        session.press("c");
-        session.wait_for("equation, ");
-        session.press("q");
-        session.wait_for("d diagnose");
-        session.press("e");
-        session.wait_for("too high");
         session.press("q");
         session.wait_for("d diagnose");
         lacks(&session.text(), &["supported"]);

@@ -408,6 +408,8 @@ fn a_time_that_falls_is_refused_with_what_mends_it() {
     let falls = begun.clone() + "50,1/20,1/80,1/10,1/60,1/5,1/40,1/30,1/";
     let reason = "row 41 (line 42): time 50 s is not after 139 s";
     mends(["a fall", &falls, reason, "head -n 41", &begun]);
+    let no_time = own(b"time_s,current_a\n2,1\n0,1\n-3,1\n").unwrap_err();
+    has(no_time.help(), "name another with --map");
 }
 
 #[test]
