@@ -28,6 +28,20 @@ fn expect_card(command: &str, text: &str, last: &str) {
     assert!(end.contains(last), "{command} ends with\n{end}");
 }
 
+/// Commands on the runs of a commissioning, their status, and a part of the last line of their card.
+const RESULTS: &str = "
+identify FIT SELECT | 0 | drivebench diagnose
+compare FIT --holdout SELECT | 0 | --holdout
+compare FIT --model motor.toml --holdout SELECT | 0 | --holdout
+diagnose FIT --model motor.toml --holdout SELECT | 0 | --output model2.toml
+diagnose FIT --holdout SELECT --html page.html | 0 | page.html
+add stribeck_friction --model motor.toml --run FIT --holdout SELECT --output with.toml | 0 | --feed-forward compare
+add cogging --model motor.toml --run FIT --holdout SELECT --output no.toml | 1 | --holdout
+tune --model FIT/model.toml | 0 | drivebench speed --model
+speed --headless --port sim: --seed 7 --model FIT/model.toml --out others | 0 | /report.html
+run --headless --port sim: --seed 7 --out others | 0 | /report.html
+";
+
 #[test]
 fn every_result_fits_a_terminal_and_ends_with_the_next_step() {
     let desk = Desk::new();
@@ -47,51 +61,17 @@ fn every_result_fits_a_terminal_and_ends_with_the_next_step() {
         ],
     );
     let (fit, select) = (run_of(&desk, "-fit"), run_of(&desk, "-select"));
-    let model = format!("{fit}/model.toml");
-    let baseline = desk.put("motor.toml", MODEL);
-    let baseline = baseline.file_name().unwrap().to_str().unwrap();
-    for (command, status, last) in [
-        (format!("identify {fit} {select}"), 0, "drivebench diagnose "),
-        (format!("compare {fit} --holdout {select}"), 0, "--holdout "),
-        (format!("compare {fit} --model {baseline} --holdout {select}"), 0, "--holdout "),
-        (
-            format!("diagnose {fit} --model {baseline} --holdout {select}"),
-            0,
-            "--output model2.toml",
-        ),
-        (format!("diagnose {fit} --holdout {select} --html page.html"), 0, "page.html"),
-        (
-            format!(
-                "add stribeck_friction --model {baseline} --run {fit} --holdout {select} --output with.toml"
-            ),
-            0,
-            "--feed-forward compare",
-        ),
-        (
-            format!(
-                "add cogging --model {baseline} --run {fit} --holdout {select} --output no.toml"
-            ),
-            1,
-            "--holdout ",
-        ),
-        (format!("tune --model {model}"), 0, "drivebench speed --model "),
-        (
-            format!("speed --headless --port sim: --seed 7 --model {model} --out others"),
-            0,
-            "/report.html",
-        ),
-        ("run --headless --port sim: --seed 7 --out others".to_owned(), 0, "/report.html"),
-    ] {
-        let text = desk.call(&command).expect(status).stdout;
-        expect_card(&command, &text, last);
+    desk.put("motor.toml", MODEL);
+    let on_runs = |command: &str| command.replace("FIT", &fit).replace("SELECT", &select);
+    for [command, status, last] in cases(RESULTS) {
+        let done = desk.call(&on_runs(command)).expect(status.parse().unwrap());
+        expect_card(command, &done.stdout, last);
     }
-    let text = desk
-        .call(&format!("diagnose {fit} --model {baseline} --holdout {select}"))
-        .expect(0)
-        .stdout;
+    let text =
+        desk.call(&on_runs("diagnose FIT --model motor.toml --holdout SELECT")).expect(0).stdout;
     has(&text, &["cause ", "remedy ", "drivebench add stribeck_friction --model motor.toml"]);
     // Everything is still there for who asks.
-    let full = desk.call(&format!("diagnose {fit} --holdout {select} --full")).expect(0).stdout;
+    let full = desk.call(&on_runs("diagnose FIT --holdout SELECT --full")).expect(0).stdout;
     assert!(full.lines().count() > LINES, "{full}");
     has(&full, &["EFFECTS THAT WERE TRIED"]);
 }

@@ -241,28 +241,15 @@ fn a_torque_map_is_empty_where_the_runs_show_nothing() {
     has(&said, &["friction of ZK-22FC, ", " of 24 bins measured, "]);
     let written = fs::read_to_string(&header).unwrap();
     has(&written, &["rubs_torque(float speed_rad_s,"]);
-    for (text, paths, words) in [
-        ("export --torque-map friction --run {} --to csv", vec![fit], "--model"),
-        (
-            "export --torque-map friction --run {} --model {} --to json",
-            vec![fit, &own],
-            "a torque map as csv or c",
-        ),
-        ("export --model {} --to csv", vec![own.as_path()], "--torque-map"),
-        (
-            // It turns too fast for what the angle does.
-            "export --torque-map cogging --run {} --model {} --to csv",
-            vec![fit, &own],
-            "no bin has 4 windows",
-        ),
-        (
-            "export --torque-map drag --run {} --model {} --to csv",
-            vec![fit, &own],
-            "friction, cogging",
-        ),
-    ] {
-        has(&refusal(text, &paths), &[words]);
-    }
+    // A run turns too fast for what the angle does.
+    refusals(
+        "export --torque-map friction --run {} --to csv => --model
+         export --torque-map friction --run {} --model {} --to json => a torque map as csv or c
+         export --torque-map cogging --run {} --model {} --to csv => no bin has 4 windows
+         export --torque-map drag --run {} --model {} --to csv => friction, cogging",
+        &[fit, &own],
+    );
+    refusals("export --model {} --to csv => --torque-map", &[&own]);
 }
 
 #[test]

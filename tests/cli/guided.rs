@@ -57,12 +57,9 @@ fn the_whole_loop_is_driven_by_keys() {
     to_the_steps(&mut session);
     session.wait_for("reference followed within");
     keep_what_scrolls(&mut session);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    let left = session.text();
+    let left = session.leave("q", 0);
     has(&left, &["next experiment: ", "current_offset"]);
     has(&left, &["speed loop: reference followed within"]);
-    session.expect_terminal_as_it_was();
 
     let mut reports = 0;
     for folder in fs::read_dir(desk.path("runs")).unwrap() {

@@ -100,19 +100,16 @@ fn a_load_trace_never_overwrites_a_record() {
 
 #[test]
 fn wrong_options_are_named_with_what_is_allowed() {
-    for (options, phrase) in [
-        ("--gear-ratio 0", "0.001 to 100000"),
-        ("--added-inertia disc", "RUN=KG_M2"),
-        ("--added-inertia disc=-1", "RUN=KG_M2"),
-        ("--known-arm 0.5", "KG,M"),
-        ("--known-arm 0.5,-0.1", "KG,M"),
-        ("--known-arm inf,0.1", "KG,M"),
-        ("--scheme 4", "output-error"),
-    ] {
-        let bare = run_with(0.0045, 6);
-        let done = call(&format!("identify {{}} {options}"), &[&bare]).expect(2);
-        assert!(done.error().contains(phrase), "{options}: {}", done.error());
-    }
+    refusals(
+        "identify {} --gear-ratio 0           => 0.001 to 100000
+         identify {} --added-inertia disc     => RUN=KG_M2
+         identify {} --added-inertia disc=-1  => RUN=KG_M2
+         identify {} --known-arm 0.5          => KG,M
+         identify {} --known-arm 0.5,-0.1     => KG,M
+         identify {} --known-arm inf,0.1      => KG,M
+         identify {} --scheme 4               => output-error",
+        &[&Runs::plain().fit],
+    );
 }
 
 #[test]

@@ -111,20 +111,26 @@ fn v_and_d_go_on_after_a_commissioning() {
 }
 
 #[test]
-fn d_goes_on_by_hand_after_a_run_and_its_result_stays() {
-    let folder = Desk::new();
-    let arguments = line("run --port sim: --seed 7 --out runs", &[]);
-    let mut session = Session::start(arguments, folder.folder(), (120, 40));
-    session.wait_for("d = diagnosis by hand, q = quit");
-    lacks(&session.text(), &["Space = STOP"]);
-    session.press("d");
-    session.wait_for("DIAGNOSIS");
-    session.wait_for(ADD);
-    keep_what_scrolls(&mut session);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    has(&session.text(), &["DONE: ", "next      drivebench diagnose runs/", "/report.html"]);
-    session.expect_terminal_as_it_was();
+fn d_goes_on_by_hand_after_a_run_and_the_next_command_has_what_was_written() {
+    for (writes, next) in [
+        (false, "next      drivebench diagnose runs/"),
+        (true, "drivebench tune --model model.toml"),
+    ] {
+        let folder = Desk::new();
+        let arguments = line("run --port sim: --seed 7 --out runs", &[]);
+        let mut session = Session::start(arguments, folder.folder(), (120, 40));
+        session.wait_for("d = diagnosis by hand, q = quit");
+        lacks(&session.text(), &["Space = STOP"]);
+        session.press("d");
+        session.wait_for("DIAGNOSIS");
+        session.wait_for(ADD);
+        if writes {
+            session.press("w");
+            session.wait_for("model written to model.toml");
+        }
+        keep_what_scrolls(&mut session);
+        has(&session.leave("q", 0), &["DONE: ", next, "/report.html"]);
+    }
 }
 
 /// Whether the process stands still, as a shell leaves one.
@@ -175,9 +181,7 @@ fn ctrl_z_without_a_shell_is_explained_and_ignored() {
     session.wait_for("Ctrl-Z: there is no shell");
     session.press("e");
     session.wait_for("error over speed x current");
-    session.press("qq");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    session.expect_terminal_as_it_was();
+    session.leave("qq", 0);
 }
 
 #[test]
@@ -199,26 +203,7 @@ fn after_a_trip_nothing_is_diagnosed_and_the_status_stays() {
         session.press("f");
         session.wait("the answer gone", |screen| !screen.contents().contains("FROZEN"));
     }
-    session.press("q");
-    assert_eq!(session.end(), 4, "{}", session.text());
-    has(&session.text(), &["bus voltage too high"]);
-    session.expect_terminal_as_it_was();
-}
-
-#[test]
-fn a_model_that_was_written_by_hand_is_in_the_next_command() {
-    let folder = Desk::new();
-    let arguments = line("run --port sim: --seed 7 --out runs", &[]);
-    let mut session = Session::start(arguments, folder.folder(), (120, 40));
-    session.wait_for("d = diagnosis by hand, q = quit");
-    session.press("d");
-    session.wait_for(ADD);
-    session.press("w");
-    session.wait_for("model written to model.toml");
-    keep_what_scrolls(&mut session);
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    has(&session.text(), &["drivebench tune --model model.toml"]);
+    has(&session.leave("q", 4), &["bus voltage too high"]);
 }
 
 #[test]
@@ -235,9 +220,7 @@ fn the_mouse_is_an_option_and_a_click_selects() {
     session.wait("another row", |screen| {
         !screen.contents().contains("▶ ✓ supported   stribeck_friction")
     });
-    session.press("q");
-    assert_eq!(session.end(), 0);
-    session.expect_terminal_as_it_was();
+    session.leave("q", 0);
     has(&String::from_utf8_lossy(&session.sent), &["\u{1b}[?1000l"]);
 }
 
@@ -253,9 +236,7 @@ fn ctrl_z_says_why_not_while_the_bench_is_at_work() {
     assert!(!is_halted(session.id()));
     session.press(" ");
     session.wait_for("STOPPED");
-    session.press("q");
-    assert_eq!(session.end(), 130, "{}", session.text());
-    session.expect_terminal_as_it_was();
+    session.leave("q", 130);
 }
 
 #[test]
@@ -267,9 +248,7 @@ fn a_model_is_whole_in_its_file_after_q_and_after_ctrl_c() {
         session.press("a");
         // The answer is there, and the worker looks for the next run.
         session.wait_for("NOTHING MISSING");
-        session.press(keys);
-        assert_eq!(session.end(), status, "{}", session.text());
-        session.expect_terminal_as_it_was();
+        session.leave(keys, status);
         let model = fs::read_to_string(folder.path("kept.toml"));
         // Ctrl-C may come before the file is begun.
         assert!(model.is_ok() || status == 130);
@@ -312,8 +291,6 @@ fn a_recorded_run_is_searched_only_after_d() {
         session.press("d");
         session.wait_for(ADD);
         session.wait_for("stribeck_friction");
-        session.press("q");
-        assert_eq!(session.end(), 0, "{}", session.text());
-        session.expect_terminal_as_it_was();
+        session.leave("q", 0);
     }
 }

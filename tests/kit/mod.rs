@@ -28,9 +28,9 @@ pub(crate) mod prelude {
     };
     pub(crate) use super::terminal::Session;
     pub(crate) use super::{
-        BENCH, BINARY, Desk, Done, HIDDEN, MODEL, PLAIN, Recorded, Runs, call, capture, column,
-        drivebench, expect_near, has, json_of, lacks, line, number, only_folder, parameter, points,
-        read_json, recorded, refusal, refusals, roboteq_of_120_v, word,
+        BENCH, BINARY, Desk, Done, HIDDEN, MODEL, PLAIN, Recorded, Runs, call, capture, cases,
+        column, drivebench, expect_near, has, json_of, lacks, line, number, only_folder, parameter,
+        points, read_json, recorded, refusal, refusals, roboteq_of_120_v, word,
     };
 }
 
@@ -334,6 +334,15 @@ pub(crate) fn refusals(table: &str, paths: &[&Path]) {
             assert!(error.contains(part.trim()), "{row}: {error}");
         }
     }
+}
+
+/// The cells of a table, of which each row has a line.
+#[track_caller]
+pub(crate) fn cases<const CELLS: usize>(table: &str) -> impl Iterator<Item = [&str; CELLS]> {
+    table.lines().filter(|row| !row.is_empty()).map(|row| {
+        let cells: Vec<&str> = row.split(" | ").collect();
+        cells.try_into().unwrap_or_else(|_| panic!("{row}"))
+    })
 }
 
 /// The only folder inside `out`.

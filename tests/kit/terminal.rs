@@ -201,6 +201,15 @@ impl Session {
         self.child.wait().unwrap().exit_code()
     }
 
+    /// The keys end the program with this status, and the terminal is as it was; what is left on it.
+    #[track_caller]
+    pub(crate) fn leave(&mut self, keys: &str, status: u32) -> String {
+        self.press(keys);
+        assert_eq!(self.end(), status, "{}", self.text());
+        self.expect_terminal_as_it_was();
+        self.text()
+    }
+
     /// The shell gets the terminal as it was: its modes, its own screen, a cursor.
     #[track_caller]
     pub(crate) fn expect_terminal_as_it_was(&self) {

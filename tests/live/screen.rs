@@ -39,9 +39,7 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
     session.press("?");
     session.wait("help closed", |screen| !screen.contents().contains("any key closes it"));
     session.wait_for("Output off, q = quit.");
-    session.press("q");
-    assert_eq!(session.end(), 130, "{}", session.text());
-    session.expect_terminal_as_it_was();
+    session.leave("q", 130);
     has(&session.text(), &["stopped"]);
 }
 
@@ -71,9 +69,7 @@ fn ctrl_c_stops_and_leaves_by_itself() {
         session.wait_for(" SIM  RUNNING");
         session.wait("a voltage", |_| is_driven(&folder));
         // With a mark on its way into the record.
-        session.press("m\u{3}");
-        assert_eq!(session.end(), 130, "{}", session.text());
-        session.expect_terminal_as_it_was();
+        session.leave("m\u{3}", 130);
         expect_stopped(&folder);
     });
 }

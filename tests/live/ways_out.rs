@@ -119,9 +119,7 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
     tcflow(&terminal, FlowArg::TCOON).unwrap();
     drop(terminal);
     session.wait_for("DONE");
-    session.press("q");
-    assert_eq!(session.end(), 0, "{}", session.text());
-    session.expect_terminal_as_it_was();
+    session.leave("q", 0);
     lab.expect_stopped("a slow terminal");
     let times = column(&lab.desk.read("samples.csv"), "time_s");
     // Those of the time in which nothing was drawn are among them, in their order.
