@@ -121,175 +121,90 @@ fn ask(name: &str, address: &str, command: &str, status: i32, parts: &[&str]) {
     }
 }
 
-const READ: &str = "registers read 10:3 {}";
-const RTU_READ: &str = "registers read 10:3 --rtu-over-tcp {}";
-const WRITE: &str = "registers write 50 77 --yes --hardware {}";
+/// An address at which there is a unit with this habit.
+fn odd(habit: &str) -> String {
+    match habit {
+        "a number of its own" => tcp(plain, |header| header[1] ^= 0x40),
+        "unit 255" => tcp(plain, |header| header[6] = 255),
+        "unit 0" => tcp(plain, |header| header[6] = 0),
+        "a header that is too long" => tcp(plain, |header| header[5] += 1),
+        "registers of 32 bits" => {
+            let zeros = |pdu: &[u8]| vec![0; 4 * usize::from(pdu[4])];
+            tcp(move |pdu| Some([&[pdu[0], 4 * pdu[4]], &zeros(pdu)[..]].concat()), |_| ())
+        }
+        "rtu frames" => rtu(plain, clean),
+        "zero in front" => rtu(plain, |_, reply| [vec![0], reply].concat()),
+        "zeros behind" => rtu(plain, |_, reply| [reply, vec![0; 3]].concat()),
+        "each frame twice" => rtu(plain, |_, reply| reply.repeat(2)),
+        "echo and silence" => rtu(plain, |request, _| request.to_vec()),
+        "echo" => rtu(plain, |request, reply| [request, &reply].concat()),
+        "busy" => tcp(refuses(6, &[3]), |_| ()),
+        "no function 3" => tcp(refuses(1, &[3]), |_| ()),
+        "no function 6" => tcp(refuses(1, &[6]), |_| ()),
+        "one at a time" => tcp(|pdu| (pdu[0] == 3 && pdu[4] > 1).then(|| vec![0x83, 3]), |_| ()),
+        "no such register" => tcp(refuses(2, &[3]), |_| ()),
+        "a gateway without its unit" => tcp(refuses(11, &[3]), |_| ()),
+        "busy for writes" => tcp(refuses(6, &[6]), |_| ()),
+        other => panic!("{other}"),
+    }
+}
 
-#[test]
-fn what_a_unit_answers_is_used_or_named() {
-    let values = "10 11 12";
-    for (name, address, command, status, parts) in [
-        (
-            "number of its own",
-            tcp(plain, |header| header[1] ^= 0x40),
-            READ,
-            3,
-            &["transaction number", "--rtu-over-tcp", "!000a", "!latency"][..],
-        ),
-        (
-            "unit 255",
-            tcp(plain, |header| header[6] = 255),
-            READ,
-            3,
-            &["a frame of unit 255", "--unit", "!latency"],
-        ),
-        (
-            "unit 255, as the help has it",
-            tcp(plain, |header| header[6] = 255),
-            "registers read 10:3 --unit 255 {}",
-            0,
-            &[values],
-        ),
-        (
-            "unit 0",
-            tcp(plain, |header| header[6] = 0),
-            "registers read 10:3 --unit 0 {}",
-            0,
-            &[values],
-        ),
-        (
-            "a header that is too long",
-            tcp(plain, |header| header[5] += 1),
-            READ,
-            3,
-            &["announces 16 bytes", "!baud rate"],
-        ),
-        (
-            "registers of 32 bits",
-            tcp(
-                |pdu| Some([&[pdu[0], 4 * pdu[4]], &vec![0; 4 * usize::from(pdu[4])][..]].concat()),
-                |_| (),
-            ),
-            READ,
-            3,
-            &["12 bytes of data instead of 6", "!latency"],
-        ),
-        ("rtu frames", rtu(plain, clean), READ, 3, &["--rtu-over-tcp"]),
-        ("rtu frames, as the help has it", rtu(plain, clean), RTU_READ, 0, &[values]),
-        (
-            "rtu frames from a doctor",
-            rtu(plain, clean),
-            "doctor --rtu-over-tcp {}",
-            0,
-            &["works: all 50 requests"],
-        ),
-        (
-            "zero in front",
-            rtu(plain, |_, reply| [vec![0], reply].concat()),
-            RTU_READ,
-            0,
-            &[values, "stray bytes"],
-        ),
-        (
-            "zeros behind",
-            rtu(plain, |_, reply| [reply, vec![0; 3]].concat()),
-            RTU_READ,
-            0,
-            &[values, "stray bytes"],
-        ),
-        ("each frame twice", rtu(plain, |_, reply| reply.repeat(2)), RTU_READ, 0, &[values]),
-        (
-            "echo and silence",
-            rtu(plain, |request, _| request.to_vec()),
-            RTU_READ,
-            3,
-            &["own bytes came back", "the adapter works"],
-        ),
-        ("echo", rtu(plain, |request, reply| [request, &reply].concat()), RTU_READ, 0, &[values]),
-    ] {
-        ask(name, &address, command, status, parts);
+/// A table of a unit, a command against it, the status, and parts of the answer.
+#[track_caller]
+fn answers(table: &str, address: impl Fn(&str) -> String) {
+    for [unit, command, status, parts] in cases(table) {
+        let parts: Vec<&str> = parts.split(" & ").collect();
+        let name = format!("{unit}, {command}");
+        ask(&name, &address(unit), command, status.parse().unwrap(), &parts);
     }
 }
 
 #[test]
+fn what_a_unit_answers_is_used_or_named() {
+    const ANSWERS: &str = "
+a number of its own | registers read 10:3 {} | 3 | transaction number & --rtu-over-tcp & !000a & !latency
+unit 255 | registers read 10:3 {} | 3 | a frame of unit 255 & --unit & !latency
+unit 255 | registers read 10:3 --unit 255 {} | 0 | 10 11 12
+unit 0 | registers read 10:3 --unit 0 {} | 0 | 10 11 12
+a header that is too long | registers read 10:3 {} | 3 | announces 16 bytes & !baud rate
+registers of 32 bits | registers read 10:3 {} | 3 | 12 bytes of data instead of 6 & !latency
+rtu frames | registers read 10:3 {} | 3 | --rtu-over-tcp
+rtu frames | registers read 10:3 --rtu-over-tcp {} | 0 | 10 11 12
+rtu frames | doctor --rtu-over-tcp {} | 0 | works: all 50 requests
+zero in front | registers read 10:3 --rtu-over-tcp {} | 0 | 10 11 12 & stray bytes
+zeros behind | registers read 10:3 --rtu-over-tcp {} | 0 | 10 11 12 & stray bytes
+each frame twice | registers read 10:3 --rtu-over-tcp {} | 0 | 10 11 12
+echo and silence | registers read 10:3 --rtu-over-tcp {} | 3 | own bytes came back & the adapter works
+echo | registers read 10:3 --rtu-over-tcp {} | 0 | 10 11 12
+";
+    answers(ANSWERS, odd);
+}
+
+#[test]
 fn an_exception_has_its_own_way_on_which_works() {
-    let values = "10 11 12";
-    for (name, address, command, status, parts) in [
-        (
-            "busy",
-            tcp(refuses(6, &[3]), |_| ()),
-            READ,
-            3,
-            &["0x06 device busy", "repeated because the unit was busy: 10", "!no such register"][..],
-        ),
-        (
-            "busy doctor",
-            tcp(refuses(6, &[3]), |_| ()),
-            "doctor {}",
-            0,
-            &["all with exception 0x06", "!does not have"],
-        ),
-        ("no function 3", tcp(refuses(1, &[3]), |_| ()), READ, 3, &["--input"]),
-        (
-            "no function 3, as the help has it",
-            tcp(refuses(1, &[3]), |_| ()),
-            "registers read 10:3 --input {}",
-            0,
-            &[values],
-        ),
-        ("no function 6", tcp(refuses(1, &[6]), |_| ()), WRITE, 3, &["--multiple"]),
-        (
-            "no function 6, as the help has it",
-            tcp(refuses(1, &[6]), |_| ()),
-            "registers write 50 77 --multiple --yes --hardware {}",
-            0,
-            &["confirmed"],
-        ),
-        (
-            "only one at a time",
-            tcp(|pdu| (pdu[0] == 3 && pdu[4] > 1).then(|| vec![0x83, 3]), |_| ()),
-            READ,
-            3,
-            &["one by one"],
-        ),
-        (
-            "only one at a time, as the help has it",
-            tcp(|pdu| (pdu[0] == 3 && pdu[4] > 1).then(|| vec![0x83, 3]), |_| ()),
-            "registers read 10 11 12 {}",
-            0,
-            &["000b"],
-        ),
-        (
-            "unknown register",
-            tcp(refuses(2, &[3]), |_| ()),
-            "registers read 40001 {}",
-            3,
-            &["40001 is 0"],
-        ),
-        (
-            "a gateway without its unit",
-            tcp(refuses(11, &[3]), |_| ()),
-            READ,
-            3,
-            &["the gateway got no reply", "!the drive refused"],
-        ),
-        (
-            "write-only",
-            tcp(refuses(2, &[3]), |_| ()),
-            WRITE,
-            0,
-            &["acknowledged, cannot be read back"],
-        ),
-        (
-            "busy for writes",
-            tcp(refuses(6, &[6]), |_| ()),
-            WRITE,
-            3,
-            &["NOT confirmed", "nothing was carried out"],
-        ),
-    ] {
-        ask(name, &address, command, status, parts);
-    }
+    const ANSWERS: &str = "
+busy | registers read 10:3 {} | 3 | 0x06 device busy & repeated because the unit was busy: 10 & !no such register
+busy | doctor {} | 0 | all with exception 0x06 & !does not have
+no function 3 | registers read 10:3 {} | 3 | --input
+no function 3 | registers read 10:3 --input {} | 0 | 10 11 12
+no function 6 | registers write 50 77 --yes --hardware {} | 3 | --multiple
+no function 6 | registers write 50 77 --multiple --yes --hardware {} | 0 | confirmed
+one at a time | registers read 10:3 {} | 3 | one by one
+one at a time | registers read 10 11 12 {} | 0 | 000b
+no such register | registers read 40001 {} | 3 | 40001 is 0
+no such register | registers write 50 77 --yes --hardware {} | 0 | acknowledged, cannot be read back
+a gateway without its unit | registers read 10:3 {} | 3 | the gateway got no reply & !the drive refused
+busy for writes | registers write 50 77 --yes --hardware {} | 3 | NOT confirmed & nothing was carried out
+";
+    answers(ANSWERS, odd);
+}
+
+/// A register of this unit holds its own address until it is written.
+#[test]
+fn a_unit_that_does_not_call_itself_an_emulator_counts_as_hardware() {
+    let address = tcp(plain, |_| ());
+    ask("write", &address, "registers write 5 7 --yes {}", 2, &["--hardware"]);
+    ask("read", &address, "registers read 5 {}", 0, &["0005"]);
 }
 
 #[test]
@@ -314,41 +229,24 @@ fn a_write_that_is_accepted_first_is_waited_for() {
     ask(
         "accepted",
         &address,
-        WRITE,
+        "registers write 50 77 --yes --hardware {}",
         0,
         &["accepted (exception 0x05 acknowledge), confirmed", "!refused"],
     );
 }
 
+/// All of one unit, so that what is written first is read afterwards.
 #[test]
 fn values_of_every_type_are_written_and_read_back() {
+    const ANSWERS: &str = "
+write | registers write 4x0401 49.98 --as f32 --order CDAB --yes --hardware {} | 0 | 4x0401 is holding register 400 & confirmed & as f32 CDAB 49.98
+read | registers read 400 --as f32 --order cdab {} | 0 | 49.98 & eb85 4247
+guess | registers read 400001:2 400401:2 --guess {} | 0 | f32 CDAB 49.98 & short decimal
+input | registers read 3x11 {} | 0 | 3x11 is input register 10 & 000a
+plain 40001 | registers read 40001 {} | 0 | 9c41
+odd number | registers read 400:3 --as u32 {} | 2 | no whole number of values & 400:2
+out of range | registers write 50 70000 --as i16 --yes --hardware {} | 2 | -32768 to 32767
+";
     let address = tcp(plain, |_| ());
-    let write = "registers write 4x0401 49.98 --as f32 --order CDAB --yes --hardware {}";
-    let parts = ["4x0401 is holding register 400", "confirmed", "as f32 CDAB 49.98"];
-    ask("write", &address, write, 0, &parts);
-    for (name, command, status, parts) in [
-        ("read", "registers read 400 --as f32 --order cdab {}", 0, &["49.98", "eb85 4247"][..]),
-        (
-            "guess",
-            "registers read 400001:2 400401:2 --guess {}",
-            0,
-            &["f32 CDAB 49.98", "short decimal"],
-        ),
-        ("input", "registers read 3x11 {}", 0, &["3x11 is input register 10", "000a"]),
-        ("plain 40001", "registers read 40001 {}", 0, &["9c41"]),
-        (
-            "odd number",
-            "registers read 400:3 --as u32 {}",
-            2,
-            &["no whole number of values", "400:2"],
-        ),
-        (
-            "out of range",
-            "registers write 50 70000 --as i16 --yes --hardware {}",
-            2,
-            &["-32768 to 32767"],
-        ),
-    ] {
-        ask(name, &address, command, status, parts);
-    }
+    answers(ANSWERS, |_| address.clone());
 }

@@ -136,39 +136,6 @@ fn a_write_is_shown_guarded_and_read_back() {
 }
 
 #[test]
-fn what_does_not_say_that_it_is_an_emulator_counts_as_hardware() {
-    use std::io::{Read as _, Write as _};
-    // A Modbus TCP unit that answers every read with zeros and echoes writes.
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let address = listener.local_addr().expect("bound").to_string();
-    let unit = std::thread::spawn(move || {
-        let (mut stream, _) = listener.accept().expect("the tool connects");
-        let (mut request, mut writes) = ([0; 12], 0);
-        while stream.read_exact(&mut request).is_ok() {
-            let count = usize::from(request[11]);
-            let mut reply = request.to_vec();
-            if request[7] == 3 {
-                reply.truncate(8);
-                reply.push(request[11] * 2);
-                reply.extend(vec![0; 2 * count]);
-            } else {
-                writes += 1;
-            }
-            reply[5] = u8::try_from(reply.len() - 6).expect("short");
-            if stream.write_all(&reply).is_err() {
-                break;
-            }
-        }
-        writes
-    });
-    let mut arguments = line("registers write 5 7 --yes --timeout-ms 20000 --host", &[]);
-    arguments.push(PathBuf::from(&address));
-    drivebench(arguments).fails(2, &["--hardware"]);
-    let writes = unit.join().expect("the unit ends");
-    assert_eq!(writes, 0, "something was written");
-}
-
-#[test]
 fn a_tap_holds_every_frame_and_is_never_overwritten() {
     let drive = Drive::start("modbus-rtu");
     let file = drive.desk.path("read.pcap");
