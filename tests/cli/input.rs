@@ -227,12 +227,14 @@ fn figures_of_an_axis_without_electrics_stand_under_their_names() {
 fn a_wrong_key_is_named_with_its_line_and_the_nearest() {
     let desk = Desk::new();
     let model = "[motor]\nname = \"m\"\nresistance_ohm = 1.1\ninertia_kg_m2 = 0.0045\n";
+    let profile = include_str!("../../bench-configs/drives/vacon10.toml");
     let run = desk.put("run.csv", &csv(HEADER, &rows()[..60]));
     for (command, text, right, wrong) in [
         ("identify RUN --model {}", model, "inertia_kg_m2", "inertia_kgm2"),
         ("plan {}", BENCH, "slew_v_per_s", "slew_v_pers"),
         ("plan {}", BENCH, "resistance_ohm", "resistence_ohm"),
         ("emulate {}", PLAIN, "current_limit_a", "curent_limit_a"),
+        ("emulate --profile {}", profile, "quantity", "quantty"),
     ] {
         let place = format!("\n{right}");
         assert!(text.contains(&place), "{right}");

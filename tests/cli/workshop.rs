@@ -138,11 +138,10 @@ fn measured_maps_fed_forward_take_a_third_of_the_error() {
     let mapped = json_of(&format!("{given} --json"), &with_maps);
     let rms = |found: &Value| number(found, "/loop/tracking/1/rms_rad_s");
     assert!(rms(&mapped) < 0.67 * rms(&alone), "{} -> {}", rms(&alone), rms(&mapped));
-    let manifest: Value = serde_json::from_str(
-        &fs::read_to_string(Path::new(word(&mapped, "/folder")).join("manifest.json")).unwrap(),
-    )
-    .unwrap();
-    let named = manifest.to_string();
+    let folder = Path::new(word(&mapped, "/folder"));
+    let page = fs::read_to_string(folder.join("report.html")).unwrap();
+    has(&page, &["Speed loop", "feed-forward"]);
+    let named = read_json(folder.join("manifest.json")).to_string();
     has(&named, &["friction.csv", "the measured cogging in 72 of 72 bins"]);
 
     let volts = desk.put("volts.csv", "time_s,voltage_v\n0,1\n");

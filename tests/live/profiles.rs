@@ -21,19 +21,6 @@ const SPEED: &str = "[speed]\ncontroller = \"pi\"\ndrive_lag_s = 0.1\n\
                      [[speed.reference]]\nconstant = { speed_rad_s = 40.0, seconds = 2.0 }";
 
 #[test]
-fn the_ready_line_names_the_drive_with_its_unit_and_baud_rate() {
-    let desk = Desk::new();
-    let pty = desk.path("v20.pty");
-    let emulator = Emulator::start("emulate --profile siemens-v20 --pty {}", &[&pty]);
-    assert!(emulator.ready.starts_with("ready modbus-rtu "), "{}", emulator.ready);
-    assert!(
-        emulator.ready.ends_with("unit=1 baud=9600 profile=siemens-v20\n"),
-        "{}",
-        emulator.ready
-    );
-}
-
-#[test]
 fn a_frequency_converter_is_refused_before_anything_is_sent() {
     let desk = Desk::new();
     let pty = desk.path("v20.pty");
@@ -218,19 +205,4 @@ fn a_bench_beyond_its_profile_is_refused() {
     let silent = desk.put("silent.toml", &bench.replace("current_a = 13.0", ""));
     let error = refusal("plan {}", &[&silent]);
     has(&error, &["plan refused", "limit 6"]);
-}
-
-#[test]
-fn a_defect_in_a_profile_is_an_error_with_its_line() {
-    let desk = Desk::new();
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("bench-configs/drives/vacon10.toml");
-    let text = fs::read_to_string(folder).unwrap();
-    let wrong = text.replacen("quantity = \"status\"", "quantty = \"status\"", 1);
-    let line_of = 1 + wrong.lines().position(|line| line.starts_with("quantty")).unwrap();
-    let profile = desk.put("vacon.toml", &wrong);
-    let error = refusal("emulate --profile {}", &[&profile]);
-    has(&error, &[&format!("vacon.toml:{line_of}:1: unknown field `quantty`")]);
-    has(&error, &["did you mean `quantity`?"]);
-    let unknown = refusal("emulate --profile siemens-v30", &[]);
-    assert!(unknown.contains("did you mean `siemens-v20`?"), "{unknown}");
 }
