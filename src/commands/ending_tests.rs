@@ -1,6 +1,5 @@
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
@@ -15,7 +14,6 @@ use crate::runtime::files::Recorded;
 use crate::runtime::output::Terminal;
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::tui::Exit;
-use drivebench_bench::recording::{ReadOptions, open_run};
 use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock, Waivers};
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
 use drivebench_link::offer::Purpose;
@@ -335,35 +333,6 @@ fn a_computer_that_was_suspended_ends_the_run_as_a_lost_link() {
         }
         assert!(text.contains("suspended for 30.0 s"), "{text}");
     }
-}
-
-#[track_caller]
-fn expect_whole(folder: &Path, rows: u64) {
-    let loaded = open_run(folder, ReadOptions::default()).unwrap();
-    assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
-    assert_eq!(loaded.run.rows() as u64, rows);
-    for file in ["result.json", "model.toml", "report.html", "events.jsonl"] {
-        assert!(folder.join(file).exists(), "{file}");
-    }
-}
-
-#[test]
-fn the_record_of_a_deleted_folder_is_made_again() {
-    let bench = VirtualBench::new();
-    let runs = bench.runs();
-    let done = headless(bench.work(move || {
-        // At once: while it is emptied file by file, the recorder makes it again.
-        let gone = runs.with_extension("gone");
-        std::fs::rename(&runs, &gone).unwrap();
-        std::fs::remove_dir_all(gone).unwrap();
-    }));
-    let recorded = recorded(done);
-    assert_eq!(recorded.summary.outcome, Outcome::Done);
-    assert!(recorded.failure().is_none(), "{:?}", recorded.failure());
-    let error = recorded.summary.recorder_error.as_deref();
-    let error = error.unwrap_or_default();
-    assert!(error.contains("was deleted or renamed"), "{error}");
-    expect_whole(recorded.folder.path(), recorded.summary.rows);
 }
 
 #[test]

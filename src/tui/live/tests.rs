@@ -402,7 +402,6 @@ fn each_key_has_its_effect_and_message() {
         (&|| commissioned(running(), false), "⇤⇥", none(), "Tab parameters"),
         (&|| commissioned(running(), false), "3", none(), "Tab live"),
         (&|| commissioned(running(), false), "3↓", none(), "Tab live"),
-        (&|| ranked(running()), "", none(), "provisional, 8 s: torque residual fits"),
     ];
     for (row, (model, keys, effects, part)) in rows.iter().enumerate() {
         let (model, found) = after(model(), keys);
@@ -482,16 +481,9 @@ fn a_message_of_a_key_expires_after_a_while() {
 }
 
 #[test]
-fn a_lost_link_shows_the_search_and_its_result() {
+fn a_lost_link_that_is_back_shows_its_result() {
     let mut lost = running();
-    (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
-    lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
-    for (width, height) in [(80, 24), (120, 40), (40, 10)] {
-        let shown = text(&model(lost.clone()), width, height);
-        assert!(shown.contains("LINK LOST"), "{shown}");
-        assert!(shown.contains("reopening (attempt 3)…"), "{shown}");
-    }
-    lost.phase = Some(Phase::Safe);
+    (lost.phase, lost.outcome) = (Some(Phase::Safe), Some("link_lost"));
     lost.reopening = Some("x: the same drive is back, stop confirmed".to_owned());
     let shown = text(&finished(model(lost)), 80, 24);
     assert!(shown.contains(" SAFE ") && shown.contains("stop confirmed. q = quit."), "{shown}");

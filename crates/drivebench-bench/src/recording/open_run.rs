@@ -223,17 +223,6 @@ mod tests {
     }
 
     #[test]
-    fn an_unfinished_run_is_read_to_its_last_whole_row() {
-        let root = tempfile::tempdir().unwrap();
-        let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n1,2\n2,3.1");
-        let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
-        assert_eq!(loaded.run.column(Channel::Current).unwrap(), &[1.0, 2.0]);
-        assert_eq!(loaded.run.rows_dropped, 1);
-        assert_eq!(loaded.warnings.len(), 2, "{:?}", loaded.warnings);
-        assert!(loaded.warnings[1].contains("not finished"));
-    }
-
-    #[test]
     fn a_lost_or_broken_manifest_is_a_warning() {
         let root = tempfile::tempdir().unwrap();
         let folder = folder(root.path(), &Manifest::default(), "time_s,current_a\n0,1\n");

@@ -238,15 +238,3 @@ fn a_missing_command_may_be_declared_empty() {
     let map = RegisterMap::parse("x", &format!("{before}\ncoast = []\n{after}")).unwrap();
     assert!(map.commands.coast.is_empty() && !map.commands.reset.is_empty());
 }
-
-#[test]
-fn the_example_of_the_manual_page_is_a_profile() {
-    let (_, rest) = include_str!("../../../../docs/drives.md").split_once("```toml\n").unwrap();
-    let (example, _) = rest.split_once("```").unwrap();
-    let profile = DriveProfile::parse("acme-40.toml", example).unwrap();
-    assert_eq!(profile.name, "acme-40");
-    assert!(profile.capabilities.speed_command);
-    let map = profile.registers.unwrap();
-    assert_eq!(plan_reads(&map, PollRate::Fast).len(), 1);
-    assert_eq!(map.watchdog.set_s(), Some(0.5));
-}
