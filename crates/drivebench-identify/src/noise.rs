@@ -332,7 +332,8 @@ mod tests {
         // One that coasts when the record begins is at rest after it has stopped.
         let coasts = |k: usize| alternating(k) + 60.0 - 0.5 * k as f64;
         assert_eq!(floor(100, coasts), None);
-        let stops = |k: usize| alternating(k) + (60.0 - 1.5 * k as f64).max(0.0);
+        // So slowly that its means differ, with less between two samples than the noise.
+        let stops = |k: usize| alternating(k) + (12.0 - 0.2 * k as f64).max(0.0);
         let stopped = floor(100, stops).unwrap();
         assert!(stopped.samples < 80);
         for floor in [rest, stopped] {
