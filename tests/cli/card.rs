@@ -182,7 +182,8 @@ fn a_mistake_is_answered_with_what_to_do() {
         ),
         ("compare r --min-fit high", &["expected a number"]),
         ("diagnose", &["usage: drivebench diagnose <RUN>", "for example `drivebench diagnose "]),
-        ("diagnose a b", &["--holdout"]),
+        ("diagnose a b", &["another is given", "--holdout", "--model"]),
+        ("compare a b", &["another is given", "--holdout", "--model"]),
         ("view a b", &["--holdout RUN2"]),
         ("inspect runs", &["'inspect'", "see drivebench --help"]),
     ] {

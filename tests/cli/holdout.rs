@@ -117,13 +117,13 @@ fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
     }
 }
 
-/// The page of a command on the run, a hold-out and the nameplate.
-fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> String {
+/// Stderr and page of a command on the run, a hold-out and the nameplate.
+fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> (String, String) {
     let page = desk.path(format!("{command}.html"));
     let nameplate = desk.nameplate();
     let text = format!("{command} {{}} --holdout {{}} --model {{}} --html {{}}");
-    call(&text, &[run, holdout, &nameplate, &page]).expect(0);
-    fs::read_to_string(page).expect("the page is written")
+    let done = call(&text, &[run, holdout, &nameplate, &page]).expect(0);
+    (done.stderr, fs::read_to_string(page).expect("the page is written"))
 }
 
 #[test]
@@ -132,7 +132,7 @@ fn a_page_names_no_rejected_holdout_and_gives_the_reason() {
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
     let other = record(OTHER, 0.9);
     let other = desk.put("other.csv", &text_of(&other, |_| {}));
-    let page = page_of(&desk, "diagnose", &run, &other);
+    let (_, page) = page_of(&desk, "diagnose", &run, &other);
     has(&page, &["run.csv, last 40 % held out"]);
     lacks(&page, &["held out other.csv"]);
     assert!(!page.contains("run 2"), "two runs: {page}");
@@ -143,19 +143,19 @@ fn a_page_names_no_rejected_holdout_and_gives_the_reason() {
 fn a_page_does_not_call_unseen_what_is_objected_to() {
     let desk = Desk::new();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
-    let page = page_of(&desk, "compare", &run, &run);
+    let (_, page) = page_of(&desk, "compare", &run, &run);
     lacks(&page, &["not used in the fit"]);
     has(&page, &["its samples are those of the run"]);
     let desk = Desk::new();
     let again = record(again(23), 0.9);
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
-    let page = page_of(&desk, "compare", &run, &holdout);
+    let (_, page) = page_of(&desk, "compare", &run, &holdout);
     has(&page, &["held out again.csv", "not used in the fit"]);
     lacks(&page, &["About the data"]);
 }
 
 #[test]
-fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
+fn holes_and_dropped_rows_are_on_stderr_and_on_both_pages() {
     let desk = Desk::new();
     let with_hole = |rows: &[Row]| [&rows[..700], &rows[760..]].concat();
     let torn = text_of(&with_hole(good()), |_| {}) + "7.99,1";
@@ -163,11 +163,10 @@ fn both_pages_tell_of_holes_and_of_rows_that_were_dropped() {
     let again = with_hole(&record(again(23), 0.9));
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
     for command in ["diagnose", "compare"] {
-        let page = page_of(&desk, command, &run, &holdout);
-        for file in ["run.csv: 60 of ", "again.csv: 60 of "] {
-            assert!(page.contains(file), "{command}, {file}: {page}");
+        let (said, page) = page_of(&desk, command, &run, &holdout);
+        for text in [&said, &page] {
+            has(text, &["run.csv: 60 of ", "again.csv: 60 of ", "of voltage_v are missing"]);
         }
-        has(&page, &["of voltage_v are missing"]);
         let dropped = "Rows of the file that were dropped: 1";
         assert!(page.contains(dropped), "{command}: {page}");
     }

@@ -379,17 +379,23 @@ fn a_suite_from_runs_and_a_speed_loop_holds_both() {
 }
 
 #[test]
-fn runs_of_different_benches_make_no_suite() {
+fn runs_that_ended_early_or_differ_make_no_suite() {
     let desk = Desk::new();
     let run = &Runs::plain().fit;
     let other = desk.path("other");
     fs::create_dir(&other).unwrap();
     fs::copy(run.join("result.json"), other.join("result.json")).unwrap();
     let manifest = fs::read_to_string(run.join("manifest.json")).unwrap();
-    assert!(manifest.contains("rate_hz = 100"), "{manifest}");
-    desk.put("other/manifest.json", &manifest.replace("rate_hz = 100", "rate_hz = 50"));
     let out = desk.path("golden.toml");
-    call("init --out {} --suite {} {}", &[&out, run, &other]).fails(2, &["differ in their bench"]);
+    for (from, to, words) in [
+        ("\"finished\": true", "\"finished\": false", "the record is incomplete"),
+        ("\"outcome\": \"passed\"", "\"outcome\": \"safety trip\"", "safety trip"),
+        ("rate_hz = 100", "rate_hz = 50", "differ in their bench"),
+    ] {
+        assert!(manifest.contains(from), "{manifest}");
+        desk.put("other/manifest.json", &manifest.replace(from, to));
+        call("init --out {} --suite {} {}", &[&out, run, &other]).fails(2, &[words]);
+    }
     refusals("init --suite runs/x", &[]);
     assert!(!out.exists());
 }
