@@ -77,7 +77,8 @@ fn the_record_itself_is_good() {
 /// One row for each sentence: which signal it is about is judged, and tested, in the crate of the identification.
 #[test]
 fn a_spoilt_record_is_refused_with_its_fault() {
-    let cases: [(&str, fn(&mut Row)); 11] = [
+    type Case = (&'static str, fn(&mut Row));
+    let cases: [Case; 11] = [
         ("nothing changes", |row| *row = [row[0], 12.0, 1.5, 30.0, 0.0]),
         ("current_a is 1.5 A & not measured", |row| row[2] = 1.5),
         ("speed_rad_s is 30 rad/s & not measured", |row| row[3] = 30.0),

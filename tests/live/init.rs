@@ -103,6 +103,23 @@ fn a_wrong_drive_and_a_frequency_converter_are_refused() {
 }
 
 #[test]
+fn a_run_finds_a_motor_from_its_rated_values_alone() {
+    let desk = Desk::new();
+    let plate = desk.put(
+        "motor.toml",
+        "name = \"what is on the plate\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n",
+    );
+    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
+    let options = "init --drive own --port sim: --motor {} --out {}";
+    let done = call(options, &[&plate, &file]).expect(0);
+    has(&done.stderr, &["small steps"]);
+    lacks(&done.stderr, &["drivebench plan"]);
+    let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
+    let found = json_of(run, &[&file, &runs]);
+    assert_eq!(found["escalation"]["outcome"], "found");
+}
+
+#[test]
 fn a_wrong_plate_or_argument_is_named_and_nothing_written() {
     let desk = Desk::new();
     let file = desk.path("bench.toml");

@@ -184,6 +184,29 @@ fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
 }
 
 #[test]
+fn what_is_given_forward_is_compared_in_one_run() {
+    let desk = Desk::new();
+    let drop = "voltage_drop\"\ndrop_v = 2.0\n";
+    let plain = EMULATOR.split("[[change]]").next().expect("a beginning");
+    let emulator = desk.put("emulator.toml", &format!("{plain}\n[[hidden]]\nid = \"{drop}"));
+    let model = desk.put("model.toml", &model_with(&format!("[[effect]]\nid = \"{drop}")));
+    let (before, _) = BENCH.split_once("[[speed.reference]]").expect("a reference");
+    let (_, sequence) = BENCH.split_once("[[sequence]]").expect("a sequence");
+    let bench = format!(
+        "{before}[[speed.reference]]\npolyline = {{ points = [[0.0, 15.0], [2.0, -15.0], [4.0, 15.0]] }}\n\n[[sequence]]{sequence}"
+    );
+    let options = "--emulator {} --model {} --feed-forward compare";
+    let done = desk.speed(&bench, options, &[&emulator, &model]).expect(0);
+    let found = done.json();
+    let passes = found["loop"]["tracking"].as_array().expect("passes");
+    assert_eq!(passes.len(), 2);
+    let rms = |pass: &Value| number(pass, "rms_rad_s");
+    assert!(rms(&passes[1]) < 0.5 * rms(&passes[0]), "{passes:?}");
+    let page = desk.read("report.html");
+    has(&page, &["Speed loop", "feed-forward"]);
+}
+
+#[test]
 fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
     let bench = |lag: &str| {
         BENCH.replace("controller = \"addc\"", lag).replace("periods = 8", "periods = 2")
