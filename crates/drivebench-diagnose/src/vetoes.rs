@@ -185,13 +185,15 @@ fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 
-/// The last named lag that is too short for its kind to be known.
+/// The last named lag that is too short for its kind to be known; a filter of the current that clearly lowers the error is none.
 fn short_lag(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
-    named.iter().rev().find_map(|id| {
+    rungs.windows(2).zip(named).rev().find_map(|(pair, id)| {
         let active = fit.model.effects.iter().find(|active| active.id() == *id)?;
         let reason = within_a_period(active, &bench.evidence.training)?;
-        Some(Veto { effect: id, reason })
+        let is_clear = pair[0].score.nrms >= CLEAR_FALL_RATIOS[0] * pair[1].score.nrms;
+        let path = active.effect.terms(&active.values_or_guess()).path();
+        (path.current_filter_s == 0.0 || !is_clear).then_some(Veto { effect: id, reason })
     })
 }
 
@@ -204,8 +206,8 @@ fn within_a_period(active: &ActiveEffect, run: &Scenario) -> Option<VetoReason> 
     let path = active.effect.terms(&active.values_or_guess()).path();
     let others_s = path.current_filter_s.max(path.start_delay_s).max(path.restart_delay_s);
     let lags = [(path.speed_delay_s + path.speed_filter_s, of_speed_s), (others_s, period_s)];
-    let mut known = lags.into_iter().filter(|(lag_s, known_s)| *lag_s > 0.0 && lag_s <= known_s);
-    known.next().map(|(_, known_s)| VetoReason::ShortLag { known_s })
+    let known = lags.into_iter().find(|(lag_s, known_s)| *lag_s > 0.0 && lag_s <= known_s);
+    known.map(|(_, known_s)| VetoReason::ShortLag { known_s })
 }
 
 /// The effect with which the estimated inertia of a balance is no longer positive: its column is collinear with the balance
@@ -306,8 +308,7 @@ fn without_use(
             } else {
                 let is_of_sensors = bench.evidence.noise.is_at_the_floor(last);
                 let ratio = if is_of_sensors { AS_GOOD } else { clear };
-                let is_first = pair[0].fit.model.effects.is_empty();
-                let may_be_faint = is_of_sensors && is_first;
+                let may_be_faint = is_of_sensors && pair[0].fit.model.effects.is_empty();
                 !is_noise && before <= after || !may_be_faint && is_faint_event(id, pair, ratio)
             }
         };
@@ -331,8 +332,10 @@ fn without_use(
             let samples = pair[1].score.samples();
             let clear = CLEAR_FALL_RATIOS[usize::from(samples < FEWEST_SAMPLES)];
             let is_little = held_out[0] < clear * held_out[1];
+            // Errors of stamps decide the blocks of a free run; the innovations are weighted by them.
+            let by_stamps = !bench.evidence.noise.is_at_the_floor(floor.expected());
             let by_chance = || {
-                if bench.fits_at_once() && inference.is_nearly_white() {
+                if by_stamps || bench.fits_at_once() && inference.is_nearly_white() {
                     return !is_likelier(bench, inference, pair);
                 }
                 let scores = [&pair[0].score, &pair[1].score];
@@ -353,8 +356,8 @@ fn is_faint_event(id: &str, pair: &[Standing], ratio: f64) -> bool {
     happens_once(id) && !is_clear(held_out) && !is_clear(fitted)
 }
 
-/// Whether the hold-out is significantly likelier with the second of two models whose residuals are white. The rows of a balance are
-/// means over long windows, of which a slow record has too few for blocks.
+/// Whether the hold-out is significantly likelier with the second of two models. The rows of a balance are means over long windows, of
+/// which a slow record has too few for blocks.
 fn is_likelier(bench: &Bench, inference: &Inference, pair: &[Standing]) -> bool {
     let Evidence { holdout, noise, .. } = &bench.evidence;
     let models = [&pair[0].fit.model, &pair[1].fit.model];
