@@ -243,6 +243,8 @@ findings! {
     #[derive(Clone, Debug, PartialEq)]
     pub enum Derivation {
         WeakForm { window_s: f64, dead_zone_rad_s: f64 } = "weak_form",
+        /// Integrals over at most `most_s` between the steps of a commanded current.
+        BetweenSteps { most_s: f64, dead_zone_rad_s: f64 } = "integrals_between_steps",
         /// With a second low pass, as for one row in `one_in`.
         InverseDynamics { processing: Box<Processing>, then_hz: f64, one_in: usize } = "inverse_dynamics",
     }

@@ -170,6 +170,11 @@ pub fn derivation(of: &Derivation) -> String {
              speeds below {dead_zone_rad_s:.3} rad/s left out",
             1e3 * window_s,
         ),
+        Derivation::BetweenSteps { most_s, dead_zone_rad_s } => format!(
+            "integrals over at most {:.0} ms between two steps of the commanded current, without differentiation; speeds below \
+             {dead_zone_rad_s:.3} rad/s left out",
+            1e3 * most_s,
+        ),
         Derivation::InverseDynamics { processing, then_hz, one_in } => processing.sentence_with(
             &format!("then at {then_hz:.3} Hz, as for one row in {one_in}; every row in motion"),
         ),
