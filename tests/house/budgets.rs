@@ -10,7 +10,7 @@ const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-control", 6_530),
     ("crates/drivebench-diagnose", 22_530),
     ("crates/drivebench-emulator", 12_990),
-    ("crates/drivebench-identify", 23_900),
+    ("crates/drivebench-identify", 23_910),
     ("crates/drivebench-link", 18_470),
     ("crates/drivebench-model", 17_510),
     ("crates/drivebench-studies", 10_200),

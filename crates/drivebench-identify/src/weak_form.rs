@@ -6,7 +6,7 @@
 //! method for runs with torque and motion but no voltage. The signals must be sampled several times per time constant (at
 //! 10 ms the armature circuit is not), and the shape parameters of effects stay as given.
 //!
-//! Where a commanded current steps, `psi = 1` between two steps: `<T> = J (w2 - w1)/H + ..`, over as many rows as there are.
+//! Where a commanded current steps and brakes within a few rows, `psi = 1` between two steps: `<T> = J (w2 - w1)/H + ..`.
 //!
 //! The quadrature error is estimated by Richardson extrapolation: the same fit with every second sample changes each value; a
 //! third of the change is the error of a quadrature of second order, all of it that of first order. The current has a corner at
@@ -226,15 +226,15 @@ impl System {
         let (mut gain, mut rate_gain) = (0.0, 0.0);
         let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
         let (all, speeds) = (&scenario.sample_time_s, &scenario.speed_rad_s);
-        let nominal_s = 2.0 * longest_s;
         let per_unit = torque_per_unit(model, scenario);
-        for (begin, end) in spans(scenario, all, speeds, (half, noise.dead_zone_rad_s)) {
+        let spans = spans(scenario, all, speeds, (half, noise.dead_zone_rad_s));
+        for (begin, end) in spans.windows {
             // No window with a gap of half of its length.
             let times = &all[begin..=end];
             if times.windows(2).any(|pair| pair[1] - pair[0] > longest_s) {
                 continue;
             }
-            let (window, driving) = window(scenario, all, (begin, end), nominal_s);
+            let (window, driving) = window(scenario, all, (begin, end), spans.most_s);
             let mut speeds = speeds[begin..=end].iter();
             let is_at_rest = equation == Balance::Torque
                 && speeds.any(|speed| speed.abs() <= noise.dead_zone_rad_s);
@@ -327,69 +327,83 @@ impl System {
     }
 }
 
-/// First and last samples of the windows: half a window apart, or between the steps of a commanded current.
+/// Windows, by their first and last samples.
+struct Spans {
+    windows: Vec<(usize, usize)>,
+    /// Whether they are integrals of different lengths: the longest, s.
+    most_s: Option<f64>,
+}
+
+/// Windows half a window apart; where a commanded current steps, between two steps and on one side of standstill: the time that the
+/// drive takes for a step is not known, nor where between two samples the friction changes its sign. A shaft that is braked within a few
+/// rows is in none of these: where they have less than half of the share of braking, integrals over as many rows as there are.
 fn spans(
     scenario: &Scenario,
     times: &[f64],
     speeds: &[f64],
-    (half, dead_zone_rad_s): (usize, f64),
-) -> Vec<(usize, usize)> {
-    let steps_s = &scenario.current_steps_s;
-    if !steps_s.is_empty() {
-        return between_steps(times, speeds, (2 * half, dead_zone_rad_s), steps_s);
-    }
-    let begins = (0..times.len().saturating_sub(2 * half)).step_by(half);
-    begins.map(|begin| (begin, begin + 2 * half)).collect()
-}
-
-/// First and last samples of windows of at most `most` intervals, in each of which the shaft moves one way and no commanded current
-/// steps. A braked shaft stops within a few rows: windows of one length would leave out all of them, and with them the difference
-/// between a driving load and a driven one.
-fn between_steps(
-    times: &[f64],
-    speeds: &[f64],
-    (most, dead_zone_rad_s): (usize, f64),
-    steps_s: &[f64],
-) -> Vec<(usize, usize)> {
-    let period_s = statistics::median_step(times);
-    let moves = |sample: usize| speeds[sample].abs() > dead_zone_rad_s;
-    let goes_on = |sample: usize| {
-        let (from_s, to_s) = (times[sample - 1], times[sample]);
-        // The time that the drive takes for a step is not known. On five records of 20 Hz any margin from .1 to .9 of a period gives
-        // the same values; without one the inertia is up to 1 % too large.
-        let next = steps_s.partition_point(|step_s| *step_s <= from_s - 0.5 * period_s);
-        moves(sample - 1)
-            && moves(sample)
-            && speeds[sample - 1] * speeds[sample] > 0.0
-            && to_s - from_s <= 0.5 * most as f64 * period_s
-            && steps_s.get(next).is_none_or(|step_s| *step_s >= to_s)
+    (half, dead_zone): (usize, f64),
+) -> Spans {
+    let smooth = |(begin, end): &(usize, usize)| {
+        let begins =
+            (*begin..=*end).step_by(half).take_while(move |begin| begin + 2 * half <= *end);
+        begins.map(|begin| (begin, begin + 2 * half)).collect::<Vec<_>>()
     };
-    let (mut spans, mut begin) = (Vec::new(), 0);
-    for sample in 1..=times.len() {
-        let is_part = sample < times.len() && goes_on(sample);
-        let ends = !is_part || sample - begin > most;
-        if ends && sample - 1 > begin {
-            spans.push((begin, sample - 1));
-        }
-        if ends {
-            begin = if is_part { sample - 1 } else { sample };
-        }
+    if scenario.current_steps_s.is_empty() {
+        let windows = smooth(&(0, times.len().saturating_sub(1)));
+        return Spans { windows, most_s: None };
     }
-    spans
+    let period_s = statistics::median_step(times);
+    let stretches = |margins: [f64; 2]| {
+        let goes_on = |sample: usize| {
+            let (from_s, to_s) = (times[sample - 1], times[sample]);
+            let [from_s, to_s] = [from_s - margins[0] * period_s, to_s + margins[1] * period_s];
+            let next = scenario.current_steps_s.partition_point(|step_s| *step_s < from_s);
+            let [before, after] = [speeds[sample - 1], speeds[sample]];
+            before.abs().min(after.abs()) > dead_zone
+                && before * after > 0.0
+                && times[sample] - times[sample - 1] <= half as f64 * period_s
+                && scenario.current_steps_s.get(next).is_none_or(|step_s| *step_s > to_s)
+        };
+        let samples: Vec<usize> = (0..times.len()).collect();
+        let parts = samples.chunk_by(|_, sample| goes_on(*sample));
+        parts.map(|part| (part[0], part[part.len() - 1])).collect::<Vec<_>>()
+    };
+    let braking_share = |windows: &[(usize, usize)]| {
+        let energy_j = |(begin, end): &(usize, usize)| {
+            speeds[*begin] * signal::integral(&scenario.events, times[*begin], times[*end])
+        };
+        let energies = windows.iter().map(energy_j);
+        let whole: f64 = energies.clone().map(f64::abs).sum();
+        energies.map(|energy| (-energy).max(0.0)).sum::<f64>() / whole.max(f64::MIN_POSITIVE)
+    };
+    let windows: Vec<_> = stretches([1.0; 2]).iter().flat_map(smooth).collect();
+    // On five records of 20 Hz any margin from .1 to .9 of a period gives the same values; without one the inertia is up to 1 % too large.
+    let pieces = |(begin, end): &(usize, usize)| {
+        let end = *end;
+        let begins = (*begin..end).step_by(2 * half);
+        begins.map(move |begin| (begin, end.min(begin + 2 * half))).collect::<Vec<_>>()
+    };
+    let integrals: Vec<_> = stretches([0.5, 0.0]).iter().flat_map(pieces).collect();
+    if 2.0 * braking_share(&windows) < braking_share(&integrals) {
+        return Spans { windows: integrals, most_s: Some(2.0 * half as f64 * period_s) };
+    }
+    Spans { windows, most_s: None }
 }
 
-/// The window over a span; of a commanded current also its exact integral over the window, divided by `nominal_s`.
+/// The window over a span; of an integral also that of the input, both divided by its longest length `most_s`.
 fn window(
     scenario: &Scenario,
     times: &[f64],
     (begin, end): (usize, usize),
-    nominal_s: f64,
+    most_s: Option<f64>,
 ) -> (Window, Option<f64>) {
-    if scenario.current_steps_s.is_empty() {
-        return (Window::new(times, begin, end), None);
-    }
-    let impulse = signal::integral(&scenario.events, times[begin], times[end]);
-    (Window::integral(times, begin, end, nominal_s), Some(impulse / nominal_s))
+    most_s.map_or_else(
+        || (Window::new(times, begin, end), None),
+        |most_s| {
+            let impulse = signal::integral(&scenario.events, times[begin], times[end]);
+            (Window::integral(times, begin, end, most_s), Some(impulse / most_s))
+        },
+    )
 }
 
 /// Angle of the shaft at every sample, measured or the integral of the speed; NaN where there is none.
@@ -536,7 +550,8 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut used, mut gain, mut rate_gain) = (Vec::new(), 0.0, 0.0);
     let per_unit = torque_per_unit(model, scenario);
-    for (begin, end) in spans(scenario, &times, &speeds, (half, dead_zone_rad_s)) {
+    let spans = spans(scenario, &times, &speeds, (half, dead_zone_rad_s));
+    for (begin, end) in spans.windows {
         let is_at_rest = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
         // A longer one contains a hole in the data.
         let is_complete = times[end] - times[begin] <= 2.0 * nominal_s;
@@ -544,7 +559,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         if is_at_rest || !is_complete || !scored {
             continue;
         }
-        let (window, driving) = window(scenario, &times, (begin, end), nominal_s);
+        let (window, driving) = window(scenario, &times, (begin, end), spans.most_s);
         let mean = driving.map_or_else(|| window.mean(&left), |mean| per_unit * mean);
         let rate = window.mean_rate(&speeds);
         if !(rate.is_finite() && mean.is_finite()) {
