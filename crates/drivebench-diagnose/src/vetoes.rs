@@ -174,12 +174,12 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
     })
 }
 
-/// The last named effect whose size is not significant in the fit with all of them; of an event to three standard deviations, since
+/// The last named effect whose size is not significant in the fit with all of them; of an event to two standard deviations, since
 /// it is the largest of those at all times.
 fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
     let least_sigmas =
-        |id: &str| if happens_once(id) { CONFIRMED_SIGMAS } else { SIGNIFICANT_SIGMAS };
+        |id: &str| if happens_once(id) { 2.0 * SIGNIFICANT_SIGMAS } else { SIGNIFICANT_SIGMAS };
     let mut named = named.iter().rev().copied();
     let effect = named.find(|id| fit.is_significant(id, least_sigmas(id)) == Some(false))?;
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
