@@ -89,6 +89,11 @@ pub(super) struct Sides {
 }
 
 impl Sides {
+    fn each(&self) -> impl Iterator<Item = &TorqueRows> {
+        let others = self.confirm.iter().chain(&self.whole);
+        [&self.training, &self.holdout].into_iter().chain(others)
+    }
+
     /// The weak form, which decides.
     pub(super) fn weak_form(model: &Model, evidence: &Evidence) -> Result<Self, FitError> {
         let by_current = evidence.training.input != Input::Torque;
@@ -104,9 +109,9 @@ impl Sides {
         model: &Model,
         evidence: &Evidence,
     ) -> Result<Self, FitError> {
-        let rows = |scenario: &Scenario| {
+        let rows = |scenario: &Scenario, between_steps: Option<bool>| {
             let rows = match method {
-                Method::WeakForm => weak_form::torque_rows(model, scenario),
+                Method::WeakForm => weak_form::torque_rows(model, scenario, between_steps),
                 Method::InverseDynamics => inverse_dynamics::torque_rows(model, scenario),
             };
             let found = rows.as_ref().map_or(0, TorqueRows::rows);
@@ -121,12 +126,20 @@ impl Sides {
             scored: 0..evidence.holdout.samples(),
             ..evidence.holdout.clone()
         });
-        Ok(Self {
-            whole: whole.as_ref().map(rows).transpose()?,
-            training: rows(&evidence.training)?,
-            holdout: rows(&evidence.holdout)?,
-            confirm: evidence.confirm.as_ref().map(rows).transpose()?,
-        })
+        let sides = |between_steps: Option<bool>| -> Result<Self, FitError> {
+            let rows = |scenario: &Scenario| rows(scenario, between_steps);
+            Ok(Self {
+                whole: whole.as_ref().map(rows).transpose()?,
+                training: rows(&evidence.training)?,
+                holdout: rows(&evidence.holdout)?,
+                confirm: evidence.confirm.as_ref().map(rows).transpose()?,
+            })
+        };
+        let sides_alone = sides(None)?;
+        // The unit of the errors is that of the fitted rows: windows of one kind in all runs.
+        let between_steps = sides_alone.each().filter(|rows| !rows.spans.is_empty()).count();
+        let is_mixed = between_steps > 0 && between_steps < sides_alone.each().count();
+        if is_mixed { sides(Some(true)) } else { Ok(sides_alone) }
     }
 }
 
@@ -733,7 +746,7 @@ mod tests {
     fn fitted(run: &Scenario) -> BalanceFit {
         let plain = Model::baseline(Motor::new("geared"));
         let model = plain.with_effect("load_dependent_friction").unwrap();
-        fit(&model, &weak_form::torque_rows(&model, run).unwrap()).unwrap()
+        fit(&model, &weak_form::torque_rows(&model, run, None).unwrap()).unwrap()
     }
 
     #[test]
@@ -800,6 +813,21 @@ mod tests {
             assert!(off.abs() < 0.005, "{ratio}: {off}");
             assert!((value("inertia_kg_m2") / 2.7e-4 - 1.0).abs() < 0.01);
         }
+    }
+
+    #[test]
+    fn all_runs_have_windows_of_one_kind() {
+        let (braked, turning) = (stepped(0.05), geared(2.7e-4, 0.0, 0.05));
+        let kinds = |runs: [&Scenario; 2]| {
+            let [fitted, holdout] = runs.map(Clone::clone);
+            let evidence = Evidence::new(fitted, Some(holdout), None);
+            let model = Model::baseline(Motor::new("geared"));
+            let sides = Sides::weak_form(&model, &evidence).unwrap();
+            [sides.training, sides.holdout].map(|rows| rows.spans.is_empty())
+        };
+        assert_eq!(kinds([&braked, &turning]), [false; 2]);
+        assert_eq!(kinds([&turning, &braked]), [false; 2]);
+        assert_eq!(kinds([&turning, &turning]), [true; 2]);
     }
 
     #[test]

@@ -227,7 +227,7 @@ impl System {
         let longest_s = half as f64 * statistics::mean_step(&scenario.sample_time_s);
         let (all, speeds) = (&scenario.sample_time_s, &scenario.speed_rad_s);
         let per_unit = torque_per_unit(model, scenario);
-        let spans = spans(scenario, all, speeds, (half, noise.dead_zone_rad_s));
+        let spans = spans(scenario, all, speeds, (half, noise.dead_zone_rad_s), None);
         for (begin, end) in spans.windows {
             // No window with a gap of half of its length.
             let times = &all[begin..=end];
@@ -336,19 +336,21 @@ struct Spans {
 
 /// Windows half a window apart; where a commanded current steps, between two steps and on one side of standstill: the time that the
 /// drive takes for a step is not known, nor where between two samples the friction changes its sign. A shaft that is braked within a few
-/// rows is in none of these: where they have less than half of the share of braking, integrals over as many rows as there are.
+/// rows is in none of these: where they have less than half of the share of braking, integrals over as many rows as there are, unless
+/// `between_steps` states whether they are integrals.
 fn spans(
     scenario: &Scenario,
     times: &[f64],
     speeds: &[f64],
     (half, dead_zone): (usize, f64),
+    between_steps: Option<bool>,
 ) -> Spans {
     let smooth = |(begin, end): &(usize, usize)| {
         let begins =
             (*begin..=*end).step_by(half).take_while(move |begin| begin + 2 * half <= *end);
         begins.map(|begin| (begin, begin + 2 * half)).collect::<Vec<_>>()
     };
-    if scenario.current_steps_s.is_empty() {
+    if scenario.current_steps_s.is_empty() && between_steps != Some(true) {
         let windows = smooth(&(0, times.len().saturating_sub(1)));
         return Spans { windows, most_s: None };
     }
@@ -384,7 +386,8 @@ fn spans(
         begins.map(move |begin| (begin, end.min(begin + 2 * half))).collect::<Vec<_>>()
     };
     let integrals: Vec<_> = stretches([0.5, 0.0]).iter().flat_map(pieces).collect();
-    if 2.0 * braking_share(&windows) < braking_share(&integrals) {
+    let misses_braking = || 2.0 * braking_share(&windows) < braking_share(&integrals);
+    if between_steps.unwrap_or_else(misses_braking) {
         return Spans { windows: integrals, most_s: Some(2.0 * half as f64 * period_s) };
     }
     Spans { windows, most_s: None }
@@ -532,7 +535,13 @@ impl Noise {
 /// its neighbours) has at each sample its mean over
 /// half a period on either side, else it would be delayed by half a sample. On the EMPS axis, at 1 kHz, that is the difference
 /// between a relative error of 3.40 % (2.04 % with friction that differs by direction) and one of 3.17 % (1.63 %).
-pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
+///
+/// `between_steps`: whether the rows are such integrals, as those of another run with which these are compared; by itself where `None`.
+pub fn torque_rows(
+    model: &Model,
+    scenario: &Scenario,
+    between_steps: Option<bool>,
+) -> Option<TorqueRows> {
     let noise = Noise::of(scenario);
     let (at, left) = samples(model, scenario);
     let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
@@ -551,7 +560,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
     let (mut windows, mut inertia, mut lefts) = (Vec::new(), Vec::new(), Vec::new());
     let (mut used, mut gain, mut rate_gain) = (Vec::new(), 0.0, 0.0);
     let per_unit = torque_per_unit(model, scenario);
-    let spans = spans(scenario, &times, &speeds, (half, dead_zone_rad_s));
+    let spans = spans(scenario, &times, &speeds, (half, dead_zone_rad_s), between_steps);
     for (begin, end) in spans.windows {
         let is_at_rest = (speeds[begin..=end].iter()).any(|speed| speed.abs() <= dead_zone_rad_s);
         // A longer one contains a hole in the data.
