@@ -24,6 +24,10 @@ const BY_CHANCE_DEVIANCE: f64 = 10.0;
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
 pub(super) const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
+/// Share of the squares that effects explain which the difference between their forms and those of the machine leaves: a harmonic of a
+/// ripple with a seventh of its amplitude.
+const FORM_SQUARES: f64 = 0.02;
+
 /// An effect that is not named, and why.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Veto {
@@ -95,6 +99,7 @@ pub(super) fn first(
         .or_else(|| short_lag(bench, named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
+        .or_else(|| of_forms(bench, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
         .or_else(|| without_weight(bench, inference, named, rungs))
 }
@@ -251,6 +256,18 @@ fn by_chance(
     Some(Veto { effect, reason: VetoReason::ByChance })
 }
 
+/// The last named effect that hardly lowers an error which may be of the forms of the effects before it: they explain so much that the
+/// difference to the forms of the machine leaves as much.
+fn of_forms(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
+    let square = |rung: &Standing| rung.score.nrms.powi(2);
+    let is_of_forms = |(pair, _): &(&[Standing], &&str)| {
+        let [before, after] = [square(&pair[0]), square(&pair[1])];
+        is_faint(pair, AS_GOOD) && before - after < FORM_SQUARES * (square(&rungs[0]) - before)
+    };
+    let (pair, effect) = rungs.windows(2).zip(named).rev().find(is_of_forms)?;
+    Some(Veto { effect, reason: not_lower(bench, pair) })
+}
+
 /// The last named effect where all of them together explain hardly anything, and no linear solution of the search is valid, the
 /// innovations are not white, or several times the noise is left: the probabilities of a model without predictive power.
 fn without_weight(
@@ -287,11 +304,8 @@ fn without_use(
 ) -> Option<Veto> {
     let floor = inference.floor(&bench.evidence);
     let last = rungs.last()?.score.nrms;
-    let not_lower = |effect: &'static str, pair: &[Standing]| {
-        let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
-        let floor = bench.evidence.noise.source;
-        Veto { effect, reason: VetoReason::NotLower { before, after, floor } }
-    };
+    let not_lower =
+        |effect: &'static str, pair: &[Standing]| Veto { effect, reason: not_lower(bench, pair) };
     if floor.is_reached(last) {
         // A balance of torques with an error below the floor has systematic errors of its sensors, which are no noise: only a clear
         // fall is an effect (0.30 to 0.28 floors, of a current by a few thousandths, is none). An error of a free run that unknown
@@ -348,12 +362,22 @@ fn without_use(
     named.find(|(id, pair)| is_of_no_use(id, pair)).map(|(effect, pair)| not_lower(effect, pair))
 }
 
+fn not_lower(bench: &Bench, pair: &[Standing]) -> VetoReason {
+    let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
+    VetoReason::NotLower { before, after, floor: bench.evidence.noise.source }
+}
+
 /// Whether an event does not lower the error of any run by this ratio.
 fn is_faint_event(id: &str, pair: &[Standing], ratio: f64) -> bool {
+    happens_once(id) && is_faint(pair, ratio)
+}
+
+/// Whether the error of no run falls by this ratio.
+fn is_faint(pair: &[Standing], ratio: f64) -> bool {
     let is_clear = |[before, after]: [f64; 2]| before >= ratio * after;
     let held_out = [pair[0].score.nrms, pair[1].score.nrms];
     let fitted = [pair[0].fit.nrms, pair[1].fit.nrms];
-    happens_once(id) && !is_clear(held_out) && !is_clear(fitted)
+    !is_clear(held_out) && !is_clear(fitted)
 }
 
 /// Whether the hold-out is significantly likelier with the second of two models. The rows of a balance are means over long windows, of

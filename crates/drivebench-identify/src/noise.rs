@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use serde::Serialize;
-use statrs::distribution::{ContinuousCDF, Normal};
+use statrs::distribution::{Continuous, ContinuousCDF, Normal};
 
 use super::speed_from_angle;
 use drivebench_model::numerics::count::whole;
@@ -79,13 +79,12 @@ impl NoiseFloor {
             }
             let settled = settled(&at_rest);
             let quantum = quantum(values).unwrap_or(0.0);
-            let level = in_motion(settled, quantum);
+            let (level, count) = in_motion(settled, quantum);
             let (least, most) = extent(finite(values));
             // Equal values of a signal with less noise than its resolution are not an autocorrelation.
             let memory = if level > quantum { memory(settled) } else { 0.0 };
             // The squares of an AR(1) process are correlated with the square of its autocorrelation.
-            let independent =
-                settled.len() as f64 * (1.0 - memory * memory) / (1.0 + memory * memory);
+            let independent = count * (1.0 - memory * memory) / (1.0 + memory * memory);
             (level > 0.0 || most > least).then_some((level, whole(independent).max(1), memory))
         };
         let current = floor(&scenario.current_a).filter(|_| current_is_an_output(scenario));
@@ -236,25 +235,40 @@ fn quantum_noise(quantum: f64) -> f64 {
     quantum / 12f64.sqrt()
 }
 
-/// Noise in motion, of the samples at rest. A signal that is coarser than its noise stands still at rest, where it is a multiple of
-/// its quantum; in motion the rounding adds to the noise, of which the share of the samples that flip to a neighbour is the measure.
-fn in_motion(at_rest: &[f64], quantum: f64) -> f64 {
-    let level = standard_deviation(at_rest);
+/// Noise in motion, of the samples at rest, and the number of independent ones that would be as certain. A signal that is coarser than
+/// its noise stands still at rest, where it is a multiple of its quantum; in motion the rounding adds to the noise, of which the shares
+/// of the samples that flip to either neighbour are the measure: they lie a quantum apart.
+fn in_motion(at_rest: &[f64], quantum: f64) -> (f64, f64) {
+    let (level, count) = (standard_deviation(at_rest), at_rest.len() as f64);
     if level >= quantum {
-        return level;
+        return (level, count);
     }
     let middle = median(at_rest);
     let beyond = |side: f64| at_rest.iter().filter(move |v| side * (**v - middle) > 0.5 * quantum);
-    let [above, below] = [1.0, -1.0].map(|side| beyond(side).count());
-    let share = (above + below) as f64 / at_rest.len() as f64;
-    // One that flips to one side is offset by an unknown part of the quantum; where half of them flip the deviation has the rounding in it.
-    let is_centred = above.min(below) * 4 >= above.max(below) && above > 0 && share < 0.5;
-    let deviations = Normal::standard().inverse_cdf(1.0 - 0.5 * share);
-    if is_centred {
-        (0.5 * quantum / deviations).hypot(quantum_noise(quantum))
-    } else {
-        level.max(quantum_noise(quantum))
+    let flips = [1.0, -1.0].map(|side| beyond(side).count() as f64);
+    // Where a quarter of the samples flip the deviation has the rounding in it.
+    let least = level.max(quantum_noise(quantum));
+    let all = flips[0] + flips[1];
+    if all == 0.0 || all >= 0.25 * count {
+        return (least, count);
     }
+    // None to one side is less than one.
+    let shares = flips.map(|flips| flips.max(0.5) / count);
+    let normal = Normal::standard();
+    let distances = shares.map(|share| normal.inverse_cdf(1.0 - share));
+    let deviations = distances[0] + distances[1];
+    let variances = [0, 1].map(|side| {
+        let share = shares[side];
+        share * (1.0 - share) / count / normal.pdf(distances[side]).powi(2)
+    });
+    let noise = quantum / deviations;
+    let mut level = noise.hypot(quantum_noise(quantum));
+    let relative = (variances[0] + variances[1]).sqrt() / deviations * (noise / level).powi(2);
+    // Flips to one side alone may be of an offset by an unknown part of the quantum, and less noise: halfway.
+    if flips.contains(&0.0) {
+        level = 0.5 * (least + level);
+    }
+    (level, count.min(0.5 / relative.powi(2)))
 }
 
 /// Resolution of the instrument: the smallest step between values, if nearly every step is a multiple of it.
@@ -280,9 +294,28 @@ fn standard_deviation(values: &[f64]) -> f64 {
     variance(values).sqrt()
 }
 
+/// Standard deviation of the rounding of a signal to multiples of its quantum; zero where it has none.
+pub fn rounding(values: &[f64]) -> f64 {
+    quantum(values).map_or(0.0, quantum_noise)
+}
+
+/// Variance that its rounding, of this standard deviation, adds to each value of a signal: the error that a run of `n` equal values has in
+/// common counts once, hence with `n` times its variance, of which the noise of each value has one.
+pub fn common_rounding(values: &[f64], rounding: f64) -> Vec<f64> {
+    let variance = rounding * rounding;
+    let mut added = vec![0.0; values.len()];
+    let present: Vec<usize> = (0..values.len()).filter(|row| values[*row].is_finite()).collect();
+    for equal in present.chunk_by(|a, b| (values[*a] - values[*b]).abs() < rounding) {
+        for row in equal {
+            added[*row] = variance * (equal.len() - 1) as f64;
+        }
+    }
+    added
+}
+
 /// Noise of a signal in motion, at least that of its rounding.
 pub fn noise_in_motion(values: &[f64]) -> f64 {
-    roughness(values).max(quantum_noise(quantum(values).unwrap_or(0.0)))
+    roughness(values).max(rounding(values))
 }
 
 /// Noise of a signal by its second differences (difference-based estimator: Gasser, Sroka and Jennen-Steinmetz, Biometrika 73,
@@ -317,6 +350,19 @@ mod tests {
 
     fn floor(standstill: usize, speed: impl Fn(usize) -> f64) -> Option<NoiseFloor> {
         NoiseFloor::from_standstill(&scenario(standstill, speed))
+    }
+
+    #[test]
+    fn the_rounding_of_equal_values_counts_once() {
+        let values = [0.5, 0.5, 0.5, f64::NAN, 0.5, 1.0, 1.5, 1.5];
+        let own = rounding(&values);
+        assert!((own - 0.5 / 12f64.sqrt()).abs() < 1e-12);
+        let added = common_rounding(&values, own).into_iter().map(|variance| variance / own / own);
+        for (added, expected) in added.zip([3.0, 3.0, 3.0, 0.0, 3.0, 0.0, 1.0, 1.0]) {
+            assert!((added - expected).abs() < 1e-9, "{added} {expected}");
+        }
+        let smooth: Vec<f64> = (0..50).map(|k| f64::from(k).sqrt()).collect();
+        assert!(rounding(&smooth) == 0.0 && common_rounding(&smooth, 0.0) == [0.0; 50]);
     }
 
     fn alternating(k: usize) -> f64 {
@@ -374,6 +420,22 @@ mod tests {
             let found = floor(200, speed).unwrap().speed_rad_s;
             assert!((found / expected - 1.0).abs() < within, "{quantum}: {found}");
         }
+    }
+
+    #[test]
+    fn a_sensor_whose_noise_is_a_quarter_of_its_quantum_is_as_noisy_as_its_flips_show() {
+        // Of 100 samples at rest, 2.5 of a hundred are expected on either side.
+        let truth = 0.25_f64.hypot(1.0 / 12f64.sqrt());
+        for (above, below) in [(2, 3), (5, 1), (6, 0), (0, 3)] {
+            let mut at_rest = vec![0.0; 100];
+            at_rest[..above].fill(1.0);
+            at_rest[above..above + below].fill(-1.0);
+            let (level, samples) = in_motion(&at_rest, 1.0);
+            assert!((level / truth - 1.0).abs() < 0.15, "{above} {below}: {level}");
+            assert!((30.0..=100.0).contains(&samples), "{above} {below}: {samples}");
+        }
+        // Without a flip it is that of the rounding.
+        assert!((in_motion(&[0.0; 100], 1.0).0 * 12f64.sqrt() - 1.0).abs() < 1e-12);
     }
 
     #[test]

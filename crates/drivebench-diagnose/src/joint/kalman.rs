@@ -7,6 +7,7 @@
 
 use super::process_noise::{FORM_SHARE, FormErrors};
 use super::torque_balance::{filter_balance, unbalanced_with};
+use drivebench_identify::noise::common_rounding;
 use drivebench_identify::stamps::spread;
 use drivebench_model::numerics::propagator::{LinearPart, Propagator};
 use drivebench_model::numerics::statistics::{largest, median_step};
@@ -32,6 +33,8 @@ pub(crate) struct Noise {
     /// Random errors of host stamps, as a share of those of independent instants within their half-widths: what a line delays
     /// alike at every exchange is an offset of the stamps, a nuisance of its own.
     pub stamps: f64,
+    /// Standard deviations of the rounding of the measured current and speed, A and rad/s, contained in those of the sensors.
+    pub rounding: [f64; 2],
 }
 
 /// Linear dynamics of the deviations. Of a balance of torques the second deviation is the unbalanced torque, which no state keeps,
@@ -193,6 +196,9 @@ pub(super) struct FilteredRun {
     pub(super) white: Vec<[f64; 2]>,
     /// Variances of the samples by independent errors of their times within the half-widths.
     pub(super) stamp_variance: Vec<[f64; 2]>,
+    /// Variances of the samples of current and speed by an error of rounding that neighbours have in common; empty for a balance of
+    /// torques.
+    pub(super) rounding_variance: [Vec<f64>; 2],
     /// The sub-steps of the model, where an interval between two samples is too long for one transition of its deviations, until the
     /// grid is made of them.
     pub(super) trace: Option<Vec<SubStep>>,
@@ -251,6 +257,7 @@ struct Filter<'a> {
     ringing: f64,
     most_ringing: f64,
     twist_unknown_from_s: f64,
+    rounding_variance: [Vec<f64>; 2],
     /// Propagators over the last interval, moving and at rest.
     cached: (f64, [Propagator; 2]),
 }
@@ -292,6 +299,10 @@ impl<'a> Filter<'a> {
             ringing: 0.0,
             most_ringing: 0.0,
             twist_unknown_from_s: f64::NEG_INFINITY,
+            rounding_variance: [
+                common_rounding(&scenario.current_a, noise.rounding[0]),
+                common_rounding(&scenario.speed_rad_s, noise.rounding[1]),
+            ],
             cached: (-1.0, [dynamics.over(0.0, false), dynamics.over(0.0, true)]),
         })
     }
@@ -467,8 +478,8 @@ impl<'a> Filter<'a> {
         let mut moved = 0.0;
         if let Some(value) = current {
             stamp_variance[0] = spread(self.scenario, &self.scenario.current_a, sample).powi(2);
-            update.current =
-                self.gain(0, self.noise.current_a.powi(2) + stamps * stamp_variance[0]);
+            let added = self.rounding_variance[0][sample] + stamps * stamp_variance[0];
+            update.current = self.gain(0, self.noise.current_a.powi(2) + added);
             moved = update.current[1] * (value - reading[0]);
         }
         if let Some(value) = speed {
@@ -478,8 +489,8 @@ impl<'a> Filter<'a> {
                 self.p[1][1] += e * e;
             }
             stamp_variance[1] = spread(self.scenario, &self.scenario.speed_rad_s, sample).powi(2);
-            update.speed =
-                self.gain(1, self.noise.speed_rad_s.powi(2) + stamps * stamp_variance[1]);
+            let added = self.rounding_variance[1][sample] + stamps * stamp_variance[1];
+            update.speed = self.gain(1, self.noise.speed_rad_s.powi(2) + added);
         }
         (update, stamp_variance)
     }
@@ -549,6 +560,7 @@ pub(super) fn filter_run(
         Some(correction(change, filter.load_n_m, filter.input))
     };
     plant.follow_into(scenario, start, &mut trajectory, &mut step);
+    out.rounding_variance = filter.rounding_variance;
     gains.work = plant.work() + FOLLOWED_COST * n as u64;
     out.trace = is_refined.then(|| plant.into_trace());
     Some((gains, out))
@@ -712,6 +724,7 @@ pub(super) const QUIET: Noise = Noise {
     input: 1e-6,
     sensors: 0.1,
     stamps: 1.0,
+    rounding: [0.0; 2],
 };
 
 /// The same besides a disturbance of the load and an error of the voltage.

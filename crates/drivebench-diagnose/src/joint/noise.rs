@@ -15,7 +15,7 @@ use super::run::LinearisedRun;
 use super::select::Reduced;
 use super::tangent::{Deviations, LANES, Lane, Step};
 use super::whitened::{Whitened, add_upper, turned};
-use drivebench_identify::noise::{FloorSource, NoiseFloor, noise_in_motion};
+use drivebench_identify::noise::{FloorSource, NoiseFloor, noise_in_motion, rounding};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::largest;
 use drivebench_model::plant::{Input, Model, RunScales, Scenario};
@@ -37,6 +37,7 @@ pub(super) fn initial_noise(floor: &NoiseFloor, model: &Model, run: &Scenario) -
         // What they show at rest.
         sensors: 0.1,
         stamps: 1.0,
+        rounding: [&run.current_a, &run.speed_rad_s].map(|values| rounding(values)),
     };
     if run.input != Input::Voltage {
         noise.current_a = f64::INFINITY;
@@ -60,6 +61,8 @@ struct BlockAverages {
     counts: Vec<[f64; 2]>,
     /// Sums of the variances by errors of the time stamps.
     stamp_variance: Vec<[f64; 2]>,
+    /// The same by rounding.
+    rounding_variance: Vec<[f64; 2]>,
     /// Block by block the currents, then the speeds, of all columns, the residual last; padded to whole lanes.
     values: Vec<f64>,
     /// Columns with their padding.
@@ -78,10 +81,13 @@ fn block_averages(
     let size = whole((block_s / run.scenario.mean_period_s()).floor()).max(1);
     let blocks = n.div_ceil(size);
     let (mut counts, mut stamp_variance) = (vec![[0.0; 2]; blocks], vec![[0.0; 2]; blocks]);
+    let mut rounding_variance = vec![[0.0; 2]; blocks];
     for (sample, update) in run.gains.updates.iter().enumerate() {
         for (signal, gains) in [&update.current, &update.speed].into_iter().enumerate() {
             counts[sample / size][signal] += f64::from(u8::from(gains[4] > 0.0));
             stamp_variance[sample / size][signal] += run.filtered.stamp_variance[sample][signal];
+            let rounding = &run.filtered.rounding_variance[signal];
+            rounding_variance[sample / size][signal] += rounding.get(sample).unwrap_or(&0.0);
         }
     }
     let transitions = (0..blocks)
@@ -130,7 +136,7 @@ fn block_averages(
             }
         }
     }
-    BlockAverages { transitions, counts, stamp_variance, values, width }
+    BlockAverages { transitions, counts, stamp_variance, rounding_variance, values, width }
 }
 
 /// The passage over all samples of a block of this size, and whether the speed becomes uncertain within.
@@ -208,7 +214,8 @@ impl BlockAverages {
                 }
                 let sigma = run.dynamics.measurement_noise(noise)[signal];
                 let stamp_variance = noise.stamps.powi(2) * self.stamp_variance[block][signal];
-                let s = p[signal][signal] + (sigma * sigma + stamp_variance / count) / count;
+                let variance = stamp_variance + self.rounding_variance[block][signal];
+                let s = p[signal][signal] + (sigma * sigma + variance / count) / count;
                 let gain = [0, 1, 2, 3].map(|row| p[row][signal] / s);
                 p = updated_covariance(&p, &gain, signal);
                 log += s.ln();

@@ -300,6 +300,7 @@ mod tests {
             input: torque_n_m,
             sensors: 2.0,
             stamps: 1.0,
+            rounding: [0.0; 2],
         }
     }
 
