@@ -259,13 +259,17 @@ fn by_chance(
 /// The last named effect that hardly lowers an error which may be of the forms of the effects before it: they explain so much that the
 /// difference to the forms of the machine leaves as much.
 fn of_forms(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
-    let square = |rung: &Standing| rung.score.nrms.powi(2);
     let is_of_forms = |(pair, _): &(&[Standing], &&str)| {
-        let [before, after] = [square(&pair[0]), square(&pair[1])];
-        is_faint(pair, AS_GOOD) && before - after < FORM_SQUARES * (square(&rungs[0]) - before)
+        let errors = [&rungs[0], &pair[0], &pair[1]].map(|rung| rung.score.nrms);
+        is_faint(pair, AS_GOOD) && hides_in_forms(errors)
     };
     let (pair, effect) = rungs.windows(2).zip(named).rev().find(is_of_forms)?;
     Some(Veto { effect, reason: not_lower(bench, pair) })
+}
+
+/// Whether an effect explains less than the forms of those before it may leave; errors without any, before and with it.
+fn hides_in_forms([base, before, after]: [f64; 3]) -> bool {
+    before * before - after * after < FORM_SQUARES * (base * base - before * before)
 }
 
 /// The last named effect where all of them together explain hardly anything, and no linear solution of the search is valid, the
@@ -428,6 +432,22 @@ mod tests {
         ] {
             let deviances: Vec<f64> = errors.iter().map(|nrms| of(*nrms)).collect();
             assert_eq!(by_chance_steps(&deviances), expected, "{errors:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_strong_effect_leaves_may_be_of_its_form() {
+        for (errors, hides) in [
+            // Flux saturation of a geared servo, and what its form left, as an inductance saturation.
+            ([5.48, 1.112, 1.110], true),
+            // A torque ripple with harmonics, and Stribeck friction that is not there.
+            ([1.507, 1.1455, 1.1398], true),
+            ([1.06, 1.04, 1.03], false),
+            ([5.48, 1.4, 1.1], false),
+            // The first has no other before it.
+            ([1.5, 1.5, 1.495], false),
+        ] {
+            assert_eq!(hides_in_forms(errors), hides, "{errors:?}");
         }
     }
 

@@ -779,6 +779,29 @@ mod tests {
     }
 
     #[test]
+    fn a_rounding_that_neighbours_share_is_no_systematic_error() {
+        let model = nameplate();
+        let events = vec![(0.0, 0.0), (0.2, 40.0), (1.2, 80.0), (2.4, 30.0)];
+        let mut scenario = record(&model, events, 1e-3, 4.0, 3);
+        let quantum = 4.0 * QUIET.current_a;
+        for current_a in &mut scenario.current_a {
+            *current_a = quantum * (*current_a / quantum).round();
+        }
+        let rounding = quantum / 12f64.sqrt();
+        // Variance of the sums of a hundred innovations, 1 if they are independent.
+        let of_sums = |common: f64| {
+            let current_a = QUIET.current_a.hypot(rounding);
+            let noise = Noise { current_a, rounding: [common, 0.0], ..QUIET };
+            let (_, filtered) = filter_run(&model, &scenario, State::default(), &noise).unwrap();
+            let white: Vec<f64> = filtered.white.iter().map(|white| white[0]).collect();
+            let sums = white.chunks(100).map(|part| part.iter().sum::<f64>().powi(2) / 100.0);
+            sums.sum::<f64>() / 40.0
+        };
+        let [alone, shared] = [0.0, rounding].map(of_sums);
+        assert!(alone > 4.0 && shared < 2.0, "{alone} {shared}");
+    }
+
+    #[test]
     fn the_unknown_voltage_of_a_hole_acts_as_late_as_commands() {
         let bare = nameplate();
         let mut scenario = record(&bare, vec![(0.0, 20.0)], 1e-3, 1.0, 3);
