@@ -99,7 +99,7 @@ fn session(bench: &BenchFile) -> Session {
         hold: 0.0,
     };
     let pilot = SpeedPilot::new(regulator, reference, settings);
-    Session::with_pilot(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
+    Session::new(Box::new(pilot), Guard::new(limits, &motor, Some(11.4)))
 }
 
 /// The time that `run` takes for one whole session, and its cycles.

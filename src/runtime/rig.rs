@@ -318,11 +318,12 @@ impl Rig {
         let session = if let Some(currents) = &self.bench.currents {
             let silence_s = self.bench.limits().link_silence_s;
             let pilot = CurrentsPilot::new(currents, Some(seed), silence_s);
-            Session::with_pilot(Box::new(pilot), guard)
+            Session::new(Box::new(pilot), guard)
         } else {
             let brake = self.bench.load.brake();
             let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
-            Session::holding(Box::new(self.program(seed)?), guard, hold_v)
+            Session::new(Box::new(self.program(seed)?), guard)
+                .holding(hold_v)
                 .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1))
         };
         let run = Planned { session, motor: Some(motor), follows: false, speed: None };
@@ -339,7 +340,7 @@ impl Rig {
         let limits = self.bench.limits();
         let pilot = CurrentsPilot::new(section, None, limits.link_silence_s);
         let guard = Guard::for_unknown_motor(limits, None, 0.0).with_period(self.bench.period_s());
-        let session = Session::with_pilot(Box::new(pilot), guard);
+        let session = Session::new(Box::new(pilot), guard);
         let run = Planned { session, motor: None, follows: false, speed: None };
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
@@ -370,7 +371,7 @@ impl Rig {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
         let run = Planned {
-            session: Session::with_pilot(Box::new(pilot), guard),
+            session: Session::new(Box::new(pilot), guard),
             motor: Some(motor),
             follows: false,
             speed: Some(about),

@@ -154,18 +154,24 @@ enum Phase {
 
 /// The current of each instant, by the measured speed.
 #[derive(Clone, Debug)]
-pub(super) struct Currents {
+pub struct CurrentsPilot {
     section: CurrentsSection,
+    run_seed: Option<u64>,
     /// Level and speed of each pair of reversals.
     pairs: Vec<(f64, f64)>,
     pair: usize,
     phase: Phase,
     since_s: f64,
+    /// Longest time without a speed, s.
+    silence_s: f64,
+    /// The latest speed and when it came.
+    speed_rad_s: f64,
+    speed_at_s: f64,
 }
 
-impl Currents {
+impl CurrentsPilot {
     /// `run_seed`: of the order; without one the levels stay in their order.
-    pub(super) fn new(section: &CurrentsSection, run_seed: Option<u64>) -> Self {
+    pub fn new(section: &CurrentsSection, run_seed: Option<u64>, silence_s: f64) -> Self {
         let levels = section.levels_a.iter();
         let mut pairs: Vec<(f64, f64)> = levels
             .flat_map(|level| section.turn_rad_s.iter().map(|turn| (*level, *turn)))
@@ -174,15 +180,21 @@ impl Currents {
             let seed = section.seed.wrapping_add(run_seed.wrapping_mul(1000));
             pairs.shuffle(&mut ChaCha8Rng::seed_from_u64(seed));
         }
-        Self { section: section.clone(), pairs, pair: 0, phase: Phase::Rest, since_s: 0.0 }
-    }
-
-    pub(super) fn duration_s(&self) -> f64 {
-        self.section.duration_s()
+        Self {
+            section: section.clone(),
+            run_seed,
+            pairs,
+            pair: 0,
+            phase: Phase::Rest,
+            since_s: 0.0,
+            silence_s,
+            speed_rad_s: 0.0,
+            speed_at_s: 0.0,
+        }
     }
 
     /// The current at `elapsed_s` since the begin, A, for the latest speed. Instants must not fall.
-    pub(super) fn current_a(&mut self, elapsed_s: f64, speed_rad_s: f64) -> f64 {
+    fn current_a(&mut self, elapsed_s: f64, speed_rad_s: f64) -> f64 {
         let (level_a, turn_rad_s) = self.pairs[self.pair % self.pairs.len()];
         let lasted_s = elapsed_s - self.since_s;
         let is_over = elapsed_s >= self.section.rest_s + self.section.seconds;
@@ -220,40 +232,6 @@ impl Currents {
             Phase::Rest | Phase::Coasting(_) | Phase::AtEnd => 0.0,
         }
     }
-
-    pub(super) fn segment(&self, elapsed_s: f64) -> usize {
-        usize::from(elapsed_s >= self.section.rest_s)
-    }
-
-    pub(super) const fn segment_name(index: usize) -> &'static str {
-        if index == 0 { "rest" } else { "currents" }
-    }
-}
-
-/// The sequence as a pilot of a session.
-pub struct CurrentsPilot {
-    section: CurrentsSection,
-    run_seed: Option<u64>,
-    currents: Currents,
-    /// Longest time without a speed, s.
-    silence_s: f64,
-    /// The latest speed and when it came.
-    speed_rad_s: f64,
-    speed_at_s: f64,
-}
-
-impl CurrentsPilot {
-    /// `run_seed`: as of `Currents`.
-    pub fn new(section: &CurrentsSection, run_seed: Option<u64>, silence_s: f64) -> Self {
-        Self {
-            section: section.clone(),
-            run_seed,
-            currents: Currents::new(section, run_seed),
-            silence_s,
-            speed_rad_s: 0.0,
-            speed_at_s: 0.0,
-        }
-    }
 }
 
 impl Pilot for CurrentsPilot {
@@ -262,11 +240,11 @@ impl Pilot for CurrentsPilot {
     }
 
     fn segment_at(&self, time_s: f64) -> usize {
-        self.currents.segment(time_s)
+        usize::from(time_s >= self.section.rest_s)
     }
 
     fn segment_name(&self, index: usize) -> &str {
-        Currents::segment_name(index)
+        if index == 0 { "rest" } else { "currents" }
     }
 
     fn zero(&self) -> Demand {
@@ -274,7 +252,7 @@ impl Pilot for CurrentsPilot {
     }
 
     fn begin(&mut self, now_s: f64, sample: Option<&Sample>) {
-        self.currents = Currents::new(&self.section, self.run_seed);
+        *self = Self::new(&self.section, self.run_seed, self.silence_s);
         self.speed_rad_s = sample.and_then(|sample| sample.get(Channel::Speed)).unwrap_or(0.0);
         self.speed_at_s = now_s;
     }
@@ -284,7 +262,7 @@ impl Pilot for CurrentsPilot {
         if times_s.0 > times_s.1 {
             return Err(Trip::after(TripKind::SignalMissing, now_s, times_s, "no speed"));
         }
-        Ok(Demand::Current(self.currents.current_a(elapsed_s, self.speed_rad_s)))
+        Ok(Demand::Current(self.current_a(elapsed_s, self.speed_rad_s)))
     }
 
     fn sample(&mut self, now_s: f64, _elapsed_s: f64, sample: &Sample, _encoder_proven: bool) {
@@ -310,8 +288,12 @@ mod tests {
         }
     }
 
+    fn pilot(seed: u64) -> CurrentsPilot {
+        CurrentsPilot::new(&section(), Some(seed), 0.1)
+    }
+
     /// Instant, current and speed of a shaft with friction under these currents.
-    fn run(mut currents: Currents, inertia_kg_m2: f64) -> Vec<[f64; 3]> {
+    fn run(mut currents: CurrentsPilot, inertia_kg_m2: f64) -> Vec<[f64; 3]> {
         let (period_s, mut speed_rad_s) = (0.01, 0.0_f64);
         let rows = (0..2400).map(|row| {
             let time_s = period_s * f64::from(row);
@@ -331,7 +313,7 @@ mod tests {
 
     #[test]
     fn the_current_reverses_at_the_speeds_and_ends_at_rest() {
-        let rows = run(Currents::new(&section(), Some(1)), 0.004);
+        let rows = run(pilot(1), 0.004);
         let beyond = rows.iter().map(|row| row[2].abs()).fold(0.0, f64::max);
         // One period of the highest acceleration beyond the highest speed.
         assert!((100.0..105.0).contains(&beyond), "{beyond}");
@@ -350,13 +332,13 @@ mod tests {
         let [_, amperes, speed] = rows[rows.len() - 1];
         assert!(amperes == 0.0 && speed.abs() < 10.0, "{amperes} A, {speed} rad/s");
         // Another seed is another order.
-        let currents = |seed| run(Currents::new(&section(), Some(seed)), 0.004);
+        let currents = |seed| run(pilot(seed), 0.004);
         assert!(currents(1) == rows && currents(2) != rows);
     }
 
     #[test]
     fn a_shaft_that_is_held_sees_both_signs() {
-        let rows = run(Currents::new(&section(), Some(1)), 1e9);
+        let rows = run(pilot(1), 1e9);
         let signs = [1.0, -1.0].map(|way| rows.iter().filter(|row| row[1] * way > 0.0).count());
         assert!(signs.iter().all(|count| *count > 400), "{signs:?}");
     }

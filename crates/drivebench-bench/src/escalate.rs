@@ -112,7 +112,7 @@ pub fn scale(
         for volts in scaled.sequence.iter_mut().flat_map(|segment| cells(segment).volts) {
             *volts *= factor;
         }
-        let Ok(program) = scaled.program(scaled.runs.fit) else {
+        let Ok(mut program) = scaled.program(scaled.runs.fit) else {
             return Ok(None);
         };
         let limits = scaled.limits();
@@ -123,7 +123,7 @@ pub fn scale(
             motor.inertia_kg_m2 *= inertia;
             motor.resistance_ohm *= resistance;
             motor.back_emf_v_s_per_rad *= back_emf;
-            let plan = plan(&program, &motor, &limits, rate_hz, drive_current_limit_a)?;
+            let plan = plan(&mut program, &motor, &limits, rate_hz, drive_current_limit_a)?;
             if plan.is_refused() {
                 first = Some(plan);
                 break;

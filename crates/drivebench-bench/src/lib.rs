@@ -59,12 +59,10 @@ pub use escalate::{EscalationPlan, Scaled, bounds, plan_escalation, scale, stage
 pub use guard::{Causes, Guard, RestError, Shaped};
 pub use init_file::{InitError, InitFile, InitRequest, InitUse, Readback, Reasoned, init_file};
 pub use limits::{Limits, MotorSection, Nameplate};
-pub use live_online::{
-    Excitation, LiveEstimator, OnlineResult, OnlineSettings, RowEstimator, replay,
-};
+pub use live_online::{Excitation, OnlineResult, OnlineSettings, RowEstimator, replay};
 pub use mechanics::{Brake, DriveFacts, LoadSection, SupplySection};
 pub use pattern::fits_pattern;
-pub use pilot::{Pilot, PilotEvent, Program};
+pub use pilot::{Pilot, PilotEvent};
 pub use plan::{Observability, Plan, PlanError, Prospect, Refusal, SegmentPlan, plan_run};
 pub use plausibility::Plausibility;
 pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};

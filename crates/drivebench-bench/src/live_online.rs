@@ -20,27 +20,6 @@ use drivebench_identify::recursive::{Memory, StartValues};
 use drivebench_model::plant::MotorKey;
 use drivebench_model::sample::{Channel, ParameterEstimate, Sample, Sensors, SpeedLag};
 
-/// Parameter estimation during the run, from every row of the record.
-pub trait LiveEstimator {
-    fn push(&mut self, row: &Row);
-
-    fn estimates(&self) -> Vec<ParameterEstimate>;
-
-    /// Innovation of the newest rows: current, A, and speed, rad/s; `None` without a prediction.
-    fn innovation(&self) -> Option<(f64, f64)> {
-        None
-    }
-
-    /// Time in which a limit of the drive froze it.
-    fn frozen(&self) -> Frozen {
-        Frozen::default()
-    }
-
-    fn excitation(&self) -> Excitation {
-        Excitation::new()
-    }
-}
-
 /// Persistence of excitation of each parameter by key, 0 to 1: share of its prior variance that the data have removed.
 pub type Excitation = BTreeMap<&'static str, f64>;
 
@@ -57,6 +36,24 @@ impl RowEstimator {
 
     pub const fn online(&self) -> &Online {
         &self.online
+    }
+
+    pub fn push(&mut self, row: &Row) {
+        let mut sample = Sample::at(row.time_s);
+        for channel in Channel::ALL {
+            if let Some(value) = row.get(channel) {
+                sample.set(channel, value);
+            }
+        }
+        sample.limited = row.is_limited();
+        sample.is_unconfirmed = row.is_unconfirmed();
+        self.online.push(&sample);
+        self.rows += 1;
+    }
+
+    pub fn excitation(&self) -> Excitation {
+        // Mechanics are linear in Kt/J and Mc/J: their excitation is that of J and Mc.
+        MODEL_KEYS.map(MotorKey::key).into_iter().zip(self.online.excitation()).collect()
     }
 
     pub fn result(&self) -> OnlineResult {
@@ -149,38 +146,6 @@ impl From<OnlineSettings> for OnlineConfig {
                 ..Sensors::default()
             },
         }
-    }
-}
-
-impl LiveEstimator for RowEstimator {
-    fn push(&mut self, row: &Row) {
-        let mut sample = Sample::at(row.time_s);
-        for channel in Channel::ALL {
-            if let Some(value) = row.get(channel) {
-                sample.set(channel, value);
-            }
-        }
-        sample.limited = row.is_limited();
-        sample.is_unconfirmed = row.is_unconfirmed();
-        self.online.push(&sample);
-        self.rows += 1;
-    }
-
-    fn estimates(&self) -> Vec<ParameterEstimate> {
-        self.online().estimates()
-    }
-
-    fn innovation(&self) -> Option<(f64, f64)> {
-        self.online().innovation()
-    }
-
-    fn frozen(&self) -> Frozen {
-        self.online().frozen()
-    }
-
-    fn excitation(&self) -> Excitation {
-        // Mechanics are linear in Kt/J and Mc/J: their excitation is that of J and Mc.
-        MODEL_KEYS.map(MotorKey::key).into_iter().zip(self.online().excitation()).collect()
     }
 }
 

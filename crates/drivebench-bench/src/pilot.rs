@@ -2,39 +2,8 @@
 
 use super::speed::SpeedReport;
 use super::trip::Trip;
-use drivebench_model::excitation;
+use drivebench_model::excitation::Program;
 use drivebench_model::sample::{Command, Demand, Sample};
-
-/// A pure function of the time since its begin.
-pub trait Program: Send {
-    fn duration_s(&self) -> f64;
-
-    /// The demand at `time_s`, before slew and limits. `Disable` lets the motor coast.
-    fn demand_at(&self, time_s: f64) -> Demand;
-
-    fn segment_at(&self, time_s: f64) -> usize;
-
-    fn segment_name(&self, index: usize) -> &str;
-}
-
-impl Program for excitation::Program {
-    fn duration_s(&self) -> f64 {
-        Self::duration_s(self)
-    }
-
-    fn demand_at(&self, time_s: f64) -> Demand {
-        self.value_at(time_s).into()
-    }
-
-    fn segment_at(&self, time_s: f64) -> usize {
-        let spans = self.spans();
-        spans.partition_point(|span| span.end_s <= time_s).min(spans.len().saturating_sub(1))
-    }
-
-    fn segment_name(&self, index: usize) -> &str {
-        self.spans().get(index).map_or("", |span| &span.name)
-    }
-}
 
 #[derive(Clone, Debug, PartialEq)]
 pub enum PilotEvent {
@@ -87,45 +56,26 @@ pub trait Pilot: Send {
     }
 }
 
-/// A program as a pilot without feedback.
-pub(super) struct OpenLoop {
-    pub(super) program: Box<dyn Program>,
-    /// Demand that holds a load at rest, in the commanded quantity; the program is added.
-    pub(super) hold: f64,
-}
-
-impl OpenLoop {
-    fn with_hold(&self, demand: Demand) -> Demand {
-        match demand {
-            Demand::Voltage(volts) => Demand::Voltage(volts + self.hold),
-            Demand::Current(amps) => Demand::Current(amps + self.hold),
-            other => other,
-        }
-    }
-}
-
-impl Pilot for OpenLoop {
+/// A program is a function of the time since its begin, without feedback; `Disable` lets the motor coast.
+impl Pilot for Program {
     fn duration_s(&self) -> f64 {
-        self.program.duration_s()
+        Self::duration_s(self)
     }
 
     fn segment_at(&self, time_s: f64) -> usize {
-        self.program.segment_at(time_s)
+        let spans = self.spans();
+        spans.partition_point(|span| span.end_s <= time_s).min(spans.len().saturating_sub(1))
     }
 
     fn segment_name(&self, index: usize) -> &str {
-        self.program.segment_name(index)
+        self.spans().get(index).map_or("", |span| &span.name)
     }
 
     fn zero(&self) -> Demand {
-        self.with_hold(match self.program.demand_at(0.0) {
-            Demand::Current(_) => Demand::Current(0.0),
-            Demand::Speed(_) => Demand::Speed(0.0),
-            _ => Demand::Voltage(0.0),
-        })
+        Demand::Voltage(0.0)
     }
 
     fn demand(&mut self, _now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
-        Ok(self.with_hold(self.program.demand_at(elapsed_s)))
+        Ok(self.value_at(elapsed_s).into())
     }
 }

@@ -4,12 +4,12 @@ use serde::Serialize;
 use thiserror::Error;
 
 use super::bench_file::BenchFile;
-use super::currents::Currents;
+use super::currents::CurrentsPilot;
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
-use super::pilot::Program;
-use super::timing::whole;
+use super::pilot::Pilot;
 use drivebench_model::excitation::ExcitationError;
+use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     ActiveEffect, Input, Model, ModelError, MotorKey, Plant, Scenario, State, Trajectory,
@@ -111,68 +111,6 @@ impl Plan {
     }
 }
 
-/// Where the demands of the prediction come from.
-trait Source {
-    fn duration_s(&self) -> f64;
-
-    fn demand(&mut self, time_s: f64, speed_rad_s: f64) -> Demand;
-
-    fn segment(&self, time_s: f64) -> (usize, &str);
-}
-
-/// A program, with the voltage that holds a load.
-struct Voltages<'a> {
-    program: &'a dyn Program,
-    hold_v: f64,
-}
-
-impl Source for Voltages<'_> {
-    fn duration_s(&self) -> f64 {
-        self.program.duration_s()
-    }
-
-    fn demand(&mut self, time_s: f64, _speed_rad_s: f64) -> Demand {
-        match self.program.demand_at(time_s) {
-            Demand::Voltage(volts) => Demand::Voltage(volts + self.hold_v),
-            other => other,
-        }
-    }
-
-    fn segment(&self, time_s: f64) -> (usize, &str) {
-        let index = self.program.segment_at(time_s);
-        (index, self.program.segment_name(index))
-    }
-}
-
-impl Source for Currents {
-    fn duration_s(&self) -> f64 {
-        Self::duration_s(self)
-    }
-
-    fn demand(&mut self, time_s: f64, speed_rad_s: f64) -> Demand {
-        Demand::Current(self.current_a(time_s, speed_rad_s))
-    }
-
-    fn segment(&self, time_s: f64) -> (usize, &str) {
-        let index = Self::segment(self, time_s);
-        (index, Self::segment_name(index))
-    }
-}
-
-/// Predicts `program` at `rate_hz` under the slew and voltage limits, without the winding limit: a plan that needs it draws too
-/// much.
-pub(super) fn plan(
-    program: &dyn Program,
-    motor: &Nameplate,
-    limits: &Limits,
-    rate_hz: f64,
-    drive_current_limit_a: Option<f64>,
-) -> Result<Plan, ModelError> {
-    let hold_v = motor.resistance_ohm * limits.load.hold_a();
-    let source = &mut Voltages { program, hold_v };
-    predict(source, motor, limits, rate_hz, drive_current_limit_a)
-}
-
 /// A run that cannot be predicted.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PlanError {
@@ -194,23 +132,24 @@ pub fn plan_run(
     drive_current_limit_a: Option<f64>,
 ) -> Result<Plan, PlanError> {
     let limits = bench.limits();
-    let Some(section) = &bench.currents else {
-        let program = bench.program(run_seed)?;
-        return Ok(plan(&program, motor, &limits, rate_hz, drive_current_limit_a)?);
+    let pilot: &mut dyn Pilot = match &bench.currents {
+        Some(section) => &mut CurrentsPilot::new(section, Some(run_seed), f64::INFINITY),
+        None => &mut bench.program(run_seed)?,
     };
-    let mut currents = Currents::new(section, Some(run_seed));
-    Ok(predict(&mut currents, motor, &limits, rate_hz, drive_current_limit_a)?)
+    Ok(plan(pilot, motor, &limits, rate_hz, drive_current_limit_a)?)
 }
 
-fn predict(
-    source: &mut dyn Source,
+/// Predicts the demands of a pilot at `rate_hz` under the slew and voltage limits, without the winding limit: a plan that needs it draws too
+/// much.
+pub(super) fn plan(
+    pilot: &mut dyn Pilot,
     motor: &Nameplate,
     limits: &Limits,
     rate_hz: f64,
     drive_current_limit_a: Option<f64>,
 ) -> Result<Plan, ModelError> {
-    let predicted = Prediction::of(source, motor, limits, rate_hz)?;
-    let duration_s = source.duration_s();
+    let predicted = Prediction::of(pilot, motor, limits, rate_hz)?;
+    let duration_s = pilot.duration_s();
     let segments = predicted.segments();
     let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
     let peak_current_a = peak(|segment| segment.peak_current_a);
@@ -395,7 +334,7 @@ impl Prediction {
 
     /// Control period by control period, so that slew and coasting act as they will in the session.
     fn of(
-        source: &mut dyn Source,
+        pilot: &mut dyn Pilot,
         motor: &Nameplate,
         limits: &Limits,
         rate_hz: f64,
@@ -403,6 +342,7 @@ impl Prediction {
         let period_s = 1.0 / rate_hz;
         let step_s = period_s / POINTS_PER_PERIOD as f64;
         let hold_a = limits.load.hold_a();
+        let hold_v = motor.resistance_ohm * hold_a;
         let mut model = Model::baseline(motor.motor());
         if limits.load.vertical {
             let weight_n_m = motor.back_emf_v_s_per_rad * hold_a;
@@ -415,14 +355,17 @@ impl Prediction {
         let mut guard = Guard::new(limits.clone(), motor, Some(0.0));
         let points_s = (1..=POINTS_PER_PERIOD).map(|point| point as f64 * step_s);
         let mut one_period = under_voltage("plan", points_s.collect());
-        let periods = whole((source.duration_s() * rate_hz).ceil()).max(1);
+        let periods = whole((pilot.duration_s() * rate_hz).ceil()).max(1);
         let mut predicted =
             Self { step_s, reverse_a: 0.05 * motor.rated_current_a, ..Self::default() };
         let (mut current_a, mut speed_rad_s, mut angle_rad) = (hold_a, 0.0, 0.0);
         let mut out = Trajectory::default();
         for period in 0..periods {
             let begin_s = period as f64 * period_s;
-            let wanted = source.demand(begin_s, speed_rad_s);
+            let wanted = match pilot.demand(begin_s, begin_s) {
+                Ok(Demand::Voltage(volts)) => Demand::Voltage(volts + hold_v),
+                wanted => wanted.unwrap_or(Demand::Stop),
+            };
             let shaped = guard.shape(begin_s, wanted);
             let coasts = !wanted.energises();
             let wanted_v = wanted.voltage_v().unwrap_or(0.0);
@@ -445,7 +388,7 @@ impl Prediction {
                 current_a = if given.is_none() { amps } else { out.current_a[at] };
                 let terminal_v =
                     given.unwrap_or(motor.resistance_ohm * amps + motor.back_emf_v_s_per_rad * w);
-                let (segment, name) = source.segment(begin_s);
+                let segment = pilot.segment_at(begin_s);
                 let point = Point {
                     time_s: begin_s + (predicted.points % POINTS_PER_PERIOD + 1) as f64 * step_s,
                     segment,
@@ -457,12 +400,13 @@ impl Prediction {
                     wanted_v,
                     supply: shaped.causes.supply,
                 };
-                predicted.push(point, name);
+                predicted.push(point, pilot.segment_name(segment));
             }
             let mut sample = Sample::at(begin_s + period_s).with(Channel::Speed, speed_rad_s);
             sample.state = Some(DriveState::Running);
             // The shaper needs the speed; limits are checked afterwards.
             guard.watch(begin_s + period_s, &sample, false);
+            pilot.sample(begin_s + period_s, begin_s + period_s, &sample, true);
         }
         Ok(predicted)
     }
@@ -605,7 +549,7 @@ mod tests {
     use drivebench_model::sample::Demand;
 
     fn planned(duration_s: f64, limits: &Limits, demand: impl Fn(f64) -> Demand + Send) -> Plan {
-        plan(&Wave { duration_s, demand }, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
+        plan(&mut Wave { duration_s, demand }, &Nameplate::zk_22fc(), limits, 100.0, None).unwrap()
     }
 
     fn step(volts: f64, limits: &Limits) -> Plan {
@@ -642,7 +586,7 @@ mod tests {
     fn the_embedded_bench_keeps_every_limit_with_margin() {
         let bench = BenchFile::embedded_default();
         for seed in [1, 2, 3] {
-            let program = bench.program(seed).unwrap();
+            let mut program = bench.program(seed).unwrap();
             let mut worst: f64 = 0.0;
             for (inertia, resistance, back_emf) in
                 [(1.0, 1.0, 1.0), (1.1, 0.9, 0.9), (0.9, 0.9, 0.9)]
@@ -651,7 +595,7 @@ mod tests {
                 motor.inertia_kg_m2 *= inertia;
                 motor.resistance_ohm *= resistance;
                 motor.back_emf_v_s_per_rad *= back_emf;
-                let plan = plan(&program, &motor, &bench.limits(), 100.0, Some(11.4)).unwrap();
+                let plan = plan(&mut program, &motor, &bench.limits(), 100.0, Some(11.4)).unwrap();
                 assert!(!plan.is_refused(), "seed {seed}: {:?}", plan.refusals);
                 worst = worst.max(plan.peak_current_a);
             }
@@ -662,10 +606,10 @@ mod tests {
     #[test]
     fn travel_time_and_the_drive_s_own_limit_are_checked_too() {
         let bench = BenchFile::embedded_default();
-        let program = bench.program(1).unwrap();
+        let mut program = bench.program(1).unwrap();
         let tight = Limits { travel_rad: Some(10.0), time_s: 5.0, ..bench.limits() };
         let nameplate = bench.nameplate().unwrap();
-        let plan = plan(&program, &nameplate, &tight, 100.0, Some(3.0)).unwrap();
+        let plan = plan(&mut program, &nameplate, &tight, 100.0, Some(3.0)).unwrap();
         for quantity in ["travel", "time with the output on", "peak current"] {
             assert!(plan.refusals.iter().any(|r| r.quantity == quantity), "{quantity}");
         }
@@ -684,18 +628,19 @@ mod tests {
     fn prospects_follow_from_rate_and_excitation() {
         use Prospect::{Good, NotObservable, Weak};
         let bench = BenchFile::embedded_default();
-        let rich = bench.program(1).unwrap();
+        let mut rich = bench.program(1).unwrap();
         // Below breakaway.
-        let small = Wave { duration_s: 1.0, demand: |_| Demand::Voltage(1.0) };
-        let cases: [(&dyn Program, _, _); 4] = [
-            (&rich, 1000.0, [Good, Good, Good, Good, Good]),
-            (&rich, 100.0, [Good, Weak, Good, Good, Good]),
-            (&rich, 20.0, [Good, NotObservable, Good, Good, Good]),
-            (&small, 100.0, [NotObservable; 5]),
+        let mut small = Wave { duration_s: 1.0, demand: |_| Demand::Voltage(1.0) };
+        let cases: [(bool, _, _); 4] = [
+            (true, 1000.0, [Good, Good, Good, Good, Good]),
+            (true, 100.0, [Good, Weak, Good, Good, Good]),
+            (true, 20.0, [Good, NotObservable, Good, Good, Good]),
+            (false, 100.0, [NotObservable; 5]),
         ];
-        for (program, rate_hz, expected) in cases {
+        for (is_rich, rate_hz, expected) in cases {
             let nameplate = bench.nameplate().unwrap();
-            let plan = plan(program, &nameplate, &bench.limits(), rate_hz, None).unwrap();
+            let pilot: &mut dyn Pilot = if is_rich { &mut rich } else { &mut small };
+            let plan = plan(pilot, &nameplate, &bench.limits(), rate_hz, None).unwrap();
             let found: Vec<_> = plan.parameters.iter().map(|found| found.prospect).collect();
             assert_eq!(found, expected, "{rate_hz} Hz");
         }

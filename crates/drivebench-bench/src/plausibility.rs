@@ -30,9 +30,9 @@ mod tests;
 
 use self::history::History;
 use super::limits::{Limits, Nameplate};
-use super::timing::whole;
 use super::trip::{Trip, TripKind};
 use drivebench_identify::belief::{Factor, Plate, Range, Repeats, Row, Scale, Settings, Window};
+use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
 /// Name of the waiver.

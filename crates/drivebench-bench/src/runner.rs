@@ -18,17 +18,18 @@ use serde_json::Value;
 use super::clock::{Clock, SUSPENDED_S};
 use super::limits::Nameplate;
 use super::line_watch::{FOREIGN_WRITES, LineReport, LineWatch};
-use super::live_online::{Excitation, LiveEstimator};
+use super::live_online::{Excitation, RowEstimator};
 use super::reopen::{Reopened, RunEnd};
 use super::session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
 use super::snapshot::{Publisher, Snapshot, SnapshotCell, Target};
 use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
-use super::timing::{Punctuality, Timing, whole};
+use super::timing::{Punctuality, Timing};
 use super::trip::{Trip, TripKind};
 use crate::recording::{CommandRow, Event, Manifest, Record};
 use drivebench_identify::online::Frozen;
 use drivebench_link::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
+use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Command, Demand, DriveState, ParameterEstimate};
 
 /// Longest wait for a drive to become safe by itself, s.
@@ -39,7 +40,7 @@ pub struct Bench<'a> {
     pub link: &'a mut dyn DriveLink,
     pub clock: &'a mut dyn Clock,
     pub recorder: &'a mut dyn Record,
-    pub estimator: Option<&'a mut dyn LiveEstimator>,
+    pub estimator: Option<&'a mut RowEstimator>,
     /// From the screen; a screen that is gone sends nothing any more, and the run goes on.
     pub intents: &'a Receiver<Intent>,
     /// Set by Ctrl-C, SIGTERM and SIGHUP: once ramps down, a second time stops at once.
@@ -198,7 +199,7 @@ struct Runner<'a> {
     session: Session,
     link: StopOnDrop<'a>,
     recorder: &'a mut dyn Record,
-    estimator: Option<&'a mut dyn LiveEstimator>,
+    estimator: Option<&'a mut RowEstimator>,
     publisher: Publisher,
     actions: Vec<Action>,
     inputs: VecDeque<Input>,
@@ -457,10 +458,7 @@ impl Runner<'_> {
             let row = CommandRow {
                 command,
                 time_s: sent_s + self.end.drive_minus_host_s,
-                reference_rad_s: reference_rad_s.or(match command.demand {
-                    Demand::Speed(speed) => Some(speed),
-                    _ => None,
-                }),
+                reference_rad_s,
             };
             self.recorder.command(&row);
         }
@@ -559,8 +557,9 @@ impl Runner<'_> {
 
     /// Of the estimators, or nothing without them.
     fn estimated(&self) -> (Vec<ParameterEstimate>, Excitation, Frozen) {
-        let estimator = self.estimator.as_ref();
-        estimator.map(|one| (one.estimates(), one.excitation(), one.frozen())).unwrap_or_default()
+        let Some(estimator) = &self.estimator else { return Default::default() };
+        let online = estimator.online();
+        (online.estimates(), estimator.excitation(), online.frozen())
     }
 
     /// `end`: of a run that is over.
@@ -571,7 +570,7 @@ impl Runner<'_> {
         end: Option<(&'static str, Option<String>, Option<Stop>)>,
     ) {
         let (estimates, excitation, frozen) = self.estimated();
-        let innovation = self.estimator.as_ref().and_then(|one| one.innovation());
+        let innovation = self.estimator.as_ref().and_then(|one| one.online().innovation());
         self.publisher.innovation(innovation);
         let recorder = self.recorder.status();
         self.publisher.publish(now_s, &self.session, estimates, |snapshot| {

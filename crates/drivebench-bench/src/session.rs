@@ -20,7 +20,7 @@ use serde_json::{Value, json};
 use super::check::WATCHDOG;
 use super::guard::{Causes, Guard};
 use super::mechanics::Brake;
-use super::pilot::{OpenLoop, Pilot, PilotEvent, Program};
+use super::pilot::{Pilot, PilotEvent};
 use super::plausibility::PLAUSIBILITY;
 use super::speed::SpeedReport;
 use super::trip::{Trip, TripKind};
@@ -33,6 +33,8 @@ const UNREPORTED: &str = "stop unconfirmed: the drive accepted it, and does not 
 /// One bench session over one program, or one closed loop.
 pub struct Session {
     pilot: Box<dyn Pilot>,
+    /// Voltage that holds a load at rest; the pilot's is added.
+    hold_v: f64,
     guard: Guard,
     state: State,
     drive: Drive,
@@ -58,18 +60,10 @@ pub struct Session {
 }
 
 impl Session {
-    pub fn new(program: Box<dyn Program>, guard: Guard) -> Self {
-        Self::holding(program, guard, 0.0)
-    }
-
-    /// A session whose program is added to the demand that holds a load at rest.
-    pub fn holding(program: Box<dyn Program>, guard: Guard, hold: f64) -> Self {
-        Self::with_pilot(Box::new(OpenLoop { program, hold }), guard)
-    }
-
-    pub fn with_pilot(pilot: Box<dyn Pilot>, guard: Guard) -> Self {
+    pub fn new(pilot: Box<dyn Pilot>, guard: Guard) -> Self {
         Self {
             pilot,
+            hold_v: 0.0,
             guard,
             state: State::Connecting(None),
             drive: Drive::default(),
@@ -87,6 +81,13 @@ impl Session {
             now_s: 0.0,
             actions: Vec::new(),
         }
+    }
+
+    /// With a program that is added to the voltage which holds a load at rest.
+    #[must_use]
+    pub const fn holding(mut self, hold_v: f64) -> Self {
+        self.hold_v = hold_v;
+        self
     }
 
     #[must_use]
@@ -353,7 +354,7 @@ impl Session {
 
     /// The demand before the guard shapes it.
     fn wanted(&mut self) -> Result<Demand, Trip> {
-        Ok(match self.state {
+        let demand = match self.state {
             State::Connecting(_) | State::Safe | State::Over { .. } => {
                 let found_running = matches!(self.state, State::Connecting(_))
                     && self.drive.state() == Some(DriveState::Running);
@@ -366,10 +367,12 @@ impl Session {
                 }
             }
             State::Armed | State::RampDown { .. } => self.pilot.zero(),
-            State::Running(since_s) => {
-                return self.pilot.demand(self.now_s, self.now_s - since_s);
-            }
+            State::Running(since_s) => self.pilot.demand(self.now_s, self.now_s - since_s)?,
             State::Stopping { .. } => Demand::Stop,
+        };
+        Ok(match demand {
+            Demand::Voltage(volts) => Demand::Voltage(volts + self.hold_v),
+            other => other,
         })
     }
 

@@ -18,13 +18,13 @@ use super::clock::Clock;
 use super::describe::layout;
 use super::guard::Guard;
 use super::limits::{Limits, Nameplate};
-use super::live_online::LiveEstimator;
-use super::pilot::Program;
+use super::live_online::RowEstimator;
+use super::pilot::Pilot;
 use super::runner::{Bench, RunOptions, RunSummary, run};
 use super::session::{Action, Input, Intent, Lost, Outcome, Session};
 use super::snapshot::{SnapshotCell, Target};
 use super::speed::{Design, PilotSettings, SpeedPilot, timing};
-use super::trip::TripKind;
+use super::trip::{Trip, TripKind};
 use crate::recording::{Layout, MemoryRecorder};
 use drivebench_control::Actuator;
 use drivebench_emulator::truth::MotorTruth;
@@ -101,13 +101,9 @@ pub(super) struct Wave<F: Fn(f64) -> Demand + Send> {
     pub(super) demand: F,
 }
 
-impl<F: Fn(f64) -> Demand + Send> Program for Wave<F> {
+impl<F: Fn(f64) -> Demand + Send> Pilot for Wave<F> {
     fn duration_s(&self) -> f64 {
         self.duration_s
-    }
-
-    fn demand_at(&self, time_s: f64) -> Demand {
-        (self.demand)(time_s)
     }
 
     fn segment_at(&self, time_s: f64) -> usize {
@@ -117,9 +113,21 @@ impl<F: Fn(f64) -> Demand + Send> Program for Wave<F> {
     fn segment_name(&self, index: usize) -> &str {
         ["first half", "second half"][index]
     }
+
+    fn zero(&self) -> Demand {
+        match (self.demand)(0.0) {
+            Demand::Current(_) => Demand::Current(0.0),
+            Demand::Speed(_) => Demand::Speed(0.0),
+            _ => Demand::Voltage(0.0),
+        }
+    }
+
+    fn demand(&mut self, _now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {
+        Ok((self.demand)(elapsed_s))
+    }
 }
 
-pub(super) fn constant(duration_s: f64, demand: Demand) -> Box<dyn Program> {
+pub(super) fn constant(duration_s: f64, demand: Demand) -> Box<dyn Pilot> {
     Box::new(Wave { duration_s, demand: move |_| demand })
 }
 
@@ -154,7 +162,7 @@ pub(super) fn speed_session(bench: &BenchFile, design: &Design<'_>, guard: Guard
     };
     let reference = bench.reference(design.section).unwrap();
     let pilot = SpeedPilot::new(design.regulator().unwrap(), reference, settings);
-    Session::with_pilot(Box::new(pilot), guard)
+    Session::new(Box::new(pilot), guard)
 }
 
 #[derive(Clone, Debug, PartialEq)]
@@ -553,7 +561,7 @@ pub(super) struct TestRun<'a> {
     pub(super) rate_hz: f64,
     pub(super) layout: Layout,
     pub(super) motor: Option<Nameplate>,
-    pub(super) estimator: Option<&'a mut dyn LiveEstimator>,
+    pub(super) estimator: Option<&'a mut RowEstimator>,
     /// Before it begins.
     pub(super) intents: Vec<Intent>,
     pub(super) interrupted: bool,
@@ -594,10 +602,7 @@ impl TestRun<'_> {
             link,
             clock,
             recorder: &mut recorder,
-            estimator: match self.estimator {
-                Some(estimator) => Some(estimator),
-                None => None,
-            },
+            estimator: self.estimator,
             intents: &intents,
             interrupted: &AtomicBool::new(self.interrupted),
             snapshots: &self.snapshots,

@@ -1,6 +1,7 @@
 //! Punctuality of the cycles: requested and achieved rate, lateness, missed cycles.
 
 use drivebench_link::RoundTrips;
+use drivebench_model::numerics::count::whole;
 use serde::Serialize;
 
 /// Lateness of cycles, in the histogram of bounded size that round trips have: a percentile is known to 5 %.
@@ -35,18 +36,6 @@ impl Punctuality {
             cycles: self.late.count(),
             missed_cycles: self.missed,
         }
-    }
-}
-
-/// The integer part of a number that is not negative.
-pub(super) fn whole(value: f64) -> usize {
-    #[expect(
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "truncation is what is wanted; the cast saturates"
-    )]
-    {
-        value as usize
     }
 }
 

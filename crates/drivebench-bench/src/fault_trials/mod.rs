@@ -433,7 +433,9 @@ fn a_stop_is_on_a_live_line_in_time_in_1000_trials() {
             wrong.push(format!("{fault}, seed {seed}: {latency_s:.4} s, allowed {allowed_s:.4} s"));
         }
         worst = worst.max(latency_s / allowed_s);
-        *counts.entry(10 * crate::timing::whole(100.0 * latency_s)).or_insert(0_u64) += 1;
+        *counts
+            .entry(10 * drivebench_model::numerics::count::whole(100.0 * latency_s))
+            .or_insert(0_u64) += 1;
     }
     println!("worst {:.0} % of the allowed time; from ms: trials {counts:?}", 100.0 * worst);
     assert!(wrong.is_empty(), "{} of 1000: {wrong:#?}", wrong.len());

@@ -3,13 +3,13 @@
 use crate::bench_file::BenchFile;
 use crate::guard::Guard;
 use crate::limits::{Limits, Nameplate};
-use crate::pilot::Program;
+use crate::pilot::Pilot;
 use crate::session::{Outcome, Session};
 use crate::testing::{Tamper, Tampered, TestRun, Wave, in_memory};
-use crate::timing::whole;
 use crate::trip::TripKind;
 use drivebench_emulator::{EmulatorConfig, MemoryLink, VirtualClock, mystery};
 use drivebench_link::{DriveLink, LinkError};
+use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -191,7 +191,7 @@ impl Trial {
         trial
     }
 
-    fn run(self, program: Box<dyn Program>) -> Outcome {
+    fn run(self, program: Box<dyn Pilot>) -> Outcome {
         let (link, mut clock) = in_memory(&self.config, self.seed);
         let by = Broken {
             traits: self.traits,
@@ -316,7 +316,7 @@ fn a_waiver_covers_a_scale_and_no_broken_signal() {
 }
 
 /// A false alarm of a healthy drive.
-fn false_alarm(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<String> {
+fn false_alarm(trial: Trial, program: Box<dyn Pilot>, about: &str) -> Option<String> {
     match trial.run(program) {
         Outcome::Tripped(trip) if is_fault_detection(trip.kind) => {
             Some(format!("{about}: {}", trip.reason))
@@ -325,7 +325,7 @@ fn false_alarm(trial: Trial, program: Box<dyn Program>, about: &str) -> Option<S
     }
 }
 
-fn embedded_program(seed: u64) -> Box<dyn Program> {
+fn embedded_program(seed: u64) -> Box<dyn Pilot> {
     Box::new(BenchFile::embedded_default().program(seed).unwrap())
 }
 
@@ -352,7 +352,7 @@ fn a_motor_with_any_hidden_effect_causes_no_false_alarm() {
 }
 
 /// Up, down and back, with time to settle.
-fn slow_steps() -> Box<dyn Program> {
+fn slow_steps() -> Box<dyn Pilot> {
     Box::new(Wave {
         duration_s: 12.0,
         demand: |time_s| {

@@ -8,7 +8,7 @@ use crate::clock::MonotonicClock;
 use crate::guard::Guard;
 use crate::limits::Limits;
 use crate::live_online::RowEstimator;
-use crate::recording::{MemoryRecorder, Row};
+use crate::recording::MemoryRecorder;
 use crate::testing::{
     Fault, LateClock, ScriptedDrive, Stalls, Tamper, Tampered, TestRun, Wave, constant, exact,
     gone, has, in_memory, near, timeout, within,
@@ -119,23 +119,17 @@ impl<'a> Scripted<'a> {
         }
     }
 
-    fn run(self) -> (RunSummary, String, ScriptedDrive) {
-        let mut drive = self.drive;
-        let (summary, events) = Self::run_on(&mut drive, self.stall_s, self.test);
-        (summary, events, drive)
-    }
-
-    fn run_on(drive: &mut ScriptedDrive, stall_s: f64, test: TestRun<'a>) -> (RunSummary, String) {
+    fn run(mut self) -> (RunSummary, String, ScriptedDrive) {
         let bench = BenchFile::embedded_default();
         let guard = Guard::new(bench.limits(), &bench.nameplate().unwrap(), None);
         let session = Session::new(constant(2.0, Demand::Voltage(10.0)), guard);
-        let mut left_s = stall_s;
+        let mut left_s = self.stall_s;
         let late_s = |now_s| {
             if now_s >= 0.5 { std::mem::take(&mut left_s) } else { 0.0 }
         };
         let mut clock = LateClock { clock: VirtualClock::new(), late_s };
-        let (summary, recorder) = test.run(session, drive, &mut clock);
-        (summary, recorder.events_jsonl())
+        let (summary, recorder) = self.test.run(session, &mut self.drive, &mut clock);
+        (summary, recorder.events_jsonl(), self.drive)
     }
 }
 
@@ -212,25 +206,18 @@ fn a_run_that_cannot_begin_ends_with_the_reason() {
     }
 }
 
-struct Bomb(u32);
-
-impl LiveEstimator for Bomb {
-    fn push(&mut self, _: &Row) {
-        self.0 -= 1;
-        assert!(self.0 > 0, "boom");
-    }
-
-    fn estimates(&self) -> Vec<ParameterEstimate> {
-        Vec::new()
-    }
-}
-
 #[test]
 fn a_panic_on_the_way_still_ends_at_zero_output() {
     let mut drive = ScriptedDrive::new(0.01);
-    let mut bomb = Bomb(30);
-    let test = TestRun { estimator: Some(&mut bomb), ..TestRun::default() };
-    assert!(catch_unwind(AssertUnwindSafe(|| Scripted::run_on(&mut drive, 0.0, test))).is_err());
+    let guard = Guard::new(Limits::zk_22fc(), &Nameplate::zk_22fc(), None);
+    let session = Session::new(constant(2.0, Demand::Voltage(10.0)), guard);
+    let late_s = |now_s| {
+        assert!(now_s < 0.3, "boom");
+        0.0
+    };
+    let mut clock = LateClock { clock: VirtualClock::new(), late_s };
+    let run = AssertUnwindSafe(|| TestRun::default().run(session, &mut drive, &mut clock).0.rows);
+    assert!(catch_unwind(run).is_err());
     assert!(drive.demands.last().unwrap().energises());
     assert_eq!(drive.stops, 1);
 }

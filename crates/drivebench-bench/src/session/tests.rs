@@ -6,8 +6,8 @@ use crate::mechanics::Brake;
 use crate::testing::{
     Fault, ScriptedDrive, SessionRig, Wave, gone, has, no_fault, refusal, within,
 };
-use crate::timing::whole;
 use drivebench_emulator::VirtualClock;
+use drivebench_model::numerics::count::whole;
 
 type Bench = SessionRig<ScriptedDrive, fn(usize, Sample) -> Option<Sample>>;
 

@@ -4,7 +4,6 @@ use thiserror::Error;
 
 use super::section::{ControllerKind, GainsSection, SpeedSection};
 use crate::limits::{Limits, Nameplate};
-use crate::timing::whole;
 use drivebench_control::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
 use drivebench_control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, CurrentLimit, FeedForward, Holding,
@@ -12,6 +11,7 @@ use drivebench_control::{
     MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
     SpeedController, TrialInputs, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
 };
+use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey, TorqueMap};
 
