@@ -24,9 +24,8 @@ struct GeneratedTable {
 impl Read for GeneratedTable {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         if self.at == self.text.len() && self.next < self.end {
-            self.text.clear();
             self.at = 0;
-            self.layout.push_line(&row(self.next), &mut self.text);
+            self.text = self.layout.line(&row(self.next));
             self.next += 1;
         }
         let count = (&self.text.as_bytes()[self.at..]).read(into)?;

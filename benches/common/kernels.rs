@@ -244,18 +244,16 @@ pub(crate) fn text() -> String {
     let layout = layout();
     let mut text = layout.header();
     for k in 0..RECORDED {
-        layout.push_line(&row(k), &mut text);
+        text.push_str(&layout.line(&row(k)));
     }
     text
 }
 
 fn row_out() -> Kernel {
     let (layout, rows): (_, Vec<Row>) = (layout(), (0..RECORDED).map(row).collect());
-    let mut line = String::new();
     let work = move || {
         for row in &rows {
-            line.clear();
-            layout.push_line(black_box(row), &mut line);
+            black_box(layout.line(black_box(row)));
         }
     };
     Kernel::new(RECORDED, work)

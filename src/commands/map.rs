@@ -133,7 +133,7 @@ fn document(arguments: &Arguments, found: &Preview, proposal: &Proposal) -> Docu
     }
     for item in &proposal.items {
         let hole = item.hole.as_ref().map(|hole| format!(" but for {}", hole.name));
-        let confidence = item.confidence.name();
+        let confidence = item.confidence.code();
         let head =
             format!("{confidence}{}: {}={}", hole.unwrap_or_default(), item.target, item.source);
         let doubts = item.doubts.iter().map(|doubt| format!("but {}", columns::doubt(doubt)));

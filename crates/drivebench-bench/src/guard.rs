@@ -21,7 +21,7 @@ use super::limits::{Limits, Nameplate};
 use super::plausibility::Plausibility;
 use super::trip::{Trip, TripKind};
 use drivebench_link::CommandTimes;
-use drivebench_model::sample::{Channel, Command, Demand, DriveState, Hindrance, Sample};
+use drivebench_model::sample::{Channel, Demand, DriveState, Hindrance, Sample};
 
 struct Thresholds {
     /// Difference between drive's and host's time over two samples above which the drive was off in between, s; the allowed
@@ -89,7 +89,7 @@ pub struct Guard {
     counts: Counts,
     /// Time that the drive may take from the command to run until it reports that it does, s.
     enable_time_s: f64,
-    plausibility: Plausibility,
+    pub(super) plausibility: Plausibility,
     /// Longest time of braking at the bound of the winding, s.
     braking_s: f64,
 }
@@ -193,25 +193,6 @@ impl Guard {
     pub fn begin_stop(&mut self, now_s: f64) {
         self.set_slew(None);
         self.shaper.stop_by(now_s + self.ramp_down_s());
-    }
-
-    pub const fn plausibility(&self) -> &Plausibility {
-        &self.plausibility
-    }
-
-    /// Without the checks that need the nameplate's motor: the user has waived them.
-    pub const fn waive_plausibility(&mut self) {
-        self.plausibility.waive();
-    }
-
-    /// A command that left; the plausibility checks compare the reply with it.
-    pub fn sent(&mut self, command: &Command) {
-        self.plausibility.sent(command);
-    }
-
-    /// The speed reference that a loop follows now, rad/s; `None`: no loop is closed.
-    pub const fn follow(&mut self, reference_rad_s: Option<f64>) {
-        self.plausibility.follow(reference_rad_s);
     }
 
     pub const fn limits(&self) -> &Limits {
@@ -352,11 +333,6 @@ impl Guard {
             self.last_sample = Some(Stamps { host_s: now_s, sample_s: sample.time_s });
         }
         found.and_then(|trip| self.latch(trip))
-    }
-
-    /// Estimates the noise of the sensors from readings at rest.
-    pub fn estimate_noise(&mut self, rest: &[Sample]) {
-        self.plausibility.estimate_noise(rest);
     }
 
     /// Frames of another master write to the drive, which no longer follows these commands.

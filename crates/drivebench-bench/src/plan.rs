@@ -62,6 +62,13 @@ pub struct SegmentPlan {
     pub travel_rad: f64,
     /// Largest braking power into the supply, W.
     pub peak_returned_w: f64,
+    /// Points of the prediction with the output off.
+    #[serde(skip)]
+    coasting_points: usize,
+    #[serde(skip)]
+    peak_reverse_v: f64,
+    #[serde(skip)]
+    peak_reverse_a: f64,
 }
 
 impl SegmentPlan {
@@ -77,7 +84,7 @@ impl SegmentPlan {
 }
 
 /// The whole prediction.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Plan {
     pub duration_s: f64,
     pub rows: u64,
@@ -148,40 +155,22 @@ pub(super) fn plan(
     rate_hz: f64,
     drive_current_limit_a: Option<f64>,
 ) -> Result<Plan, ModelError> {
-    let predicted = Prediction::of(pilot, motor, limits, rate_hz)?;
-    let duration_s = pilot.duration_s();
-    let segments = predicted.segments();
-    let peak = |of: fn(&SegmentPlan) -> f64| segments.iter().map(of).fold(0.0, f64::max);
-    let peak_current_a = peak(|segment| segment.peak_current_a);
-    let i2t_a2_s = predicted.i2t_a2_s;
-    let rms_current_a = (i2t_a2_s / duration_s.max(predicted.step_s)).sqrt();
-    let mut plan = Plan {
-        duration_s,
-        rows: whole((duration_s * rate_hz).ceil()) as u64,
-        peak_voltage_v: peak(|segment| segment.peak_voltage_v),
-        peak_current_a,
-        peak_current_ratio: peak_current_a / motor.rated_current_a,
-        peak_speed_rad_s: peak(|segment| segment.peak_speed_rad_s),
-        travel_rad: peak(|segment| segment.travel_rad),
-        rms_current_a,
-        i2t_a2_s,
-        copper_loss_j: motor.resistance_ohm * i2t_a2_s,
-        energy_j: predicted.energy_j,
-        returned_j: predicted.returned_j,
-        peak_returned_w: peak(|segment| segment.peak_returned_w),
-        refusals: Vec::new(),
-        warnings: Vec::new(),
-        parameters: parameters(&predicted, motor, rate_hz),
-        segments,
-    };
+    let mut predicted = Prediction::of(pilot, motor, limits, rate_hz)?;
+    let mut plan = std::mem::take(&mut predicted.plan);
+    plan.duration_s = pilot.duration_s();
+    plan.rows = whole((plan.duration_s * rate_hz).ceil()) as u64;
+    plan.peak_current_ratio = plan.peak_current_a / motor.rated_current_a;
+    plan.rms_current_a = (plan.i2t_a2_s / plan.duration_s.max(predicted.step_s)).sqrt();
+    plan.copper_loss_j = motor.resistance_ohm * plan.i2t_a2_s;
+    plan.parameters = parameters(&predicted, &plan, motor, rate_hz);
     let ramp_s = predicted.last.voltage_v.abs() / limits.slew_v_per_s;
     plan.refusals = beyond_limits(&plan, limits, drive_current_limit_a, ramp_s);
-    plan.refusals.extend(by_load_and_converter(&predicted, limits));
+    plan.refusals.extend(by_load_and_converter(&plan, limits, predicted.step_s));
     plan.warnings = warnings(&predicted, &plan, limits, rate_hz);
-    if rms_current_a > motor.rated_current_a {
+    if plan.rms_current_a > motor.rated_current_a {
         plan.warnings.push(format!(
-            "the effective current is {rms_current_a:.2} A, rated are {:.2} A: let the motor cool between runs",
-            motor.rated_current_a
+            "the effective current is {:.2} A, rated are {:.2} A: let the motor cool between runs",
+            plan.rms_current_a, motor.rated_current_a
         ));
     }
     Ok(plan)
@@ -253,29 +242,16 @@ struct Point {
     supply: bool,
 }
 
-/// Summary of one segment.
-#[derive(Clone, Debug, Default)]
-struct Part {
-    segment: SegmentPlan,
-    coasting_points: usize,
-    peak_reverse_v: f64,
-    peak_reverse_a: f64,
-}
-
 /// The predicted run, in memory that does not grow with its length.
 #[derive(Default)]
 struct Prediction {
+    /// Sums and extremes so far.
+    plan: Plan,
     step_s: f64,
     /// Bound of the ripple: 5 % of the rated current.
     reverse_a: f64,
-    parts: Vec<Part>,
     points: usize,
     last: Point,
-    i2t_a2_s: f64,
-    energy_j: f64,
-    returned_j: f64,
-    peak_current_a: f64,
-    peak_speed_rad_s: f64,
     /// While the output is on.
     peak_acceleration_rad_s2: f64,
     fastest_rad_s: f64,
@@ -285,41 +261,34 @@ struct Prediction {
 }
 
 impl Prediction {
-    fn segments(&self) -> Vec<SegmentPlan> {
-        self.parts.iter().map(|part| part.segment.clone()).collect()
-    }
-
     fn push(&mut self, point: Point, name: &str) {
-        if self.parts.len() <= point.segment {
-            self.parts.push(Part {
-                segment: SegmentPlan {
-                    name: name.to_owned(),
-                    start_s: point.time_s,
-                    ..SegmentPlan::default()
-                },
-                ..Part::default()
-            });
+        let plan = &mut self.plan;
+        if plan.segments.len() <= point.segment {
+            let (name, start_s) = (name.to_owned(), point.time_s);
+            plan.segments.push(SegmentPlan { name, start_s, ..SegmentPlan::default() });
         }
         let returned_w = (-point.voltage_v * point.current_a).max(0.0);
-        if let Some(part) = self.parts.last_mut() {
-            let segment = &mut part.segment;
+        if let Some(segment) = plan.segments.last_mut() {
             segment.end_s = point.time_s;
-            raise(&mut segment.peak_voltage_v, point.voltage_v);
-            raise(&mut segment.peak_current_a, point.current_a);
-            raise(&mut segment.peak_speed_rad_s, point.speed_rad_s);
-            raise(&mut segment.travel_rad, point.angle_rad);
-            raise(&mut segment.peak_returned_w, returned_w);
-            part.coasting_points += usize::from(point.coasts);
-            part.peak_reverse_v = part.peak_reverse_v.max(-point.wanted_v);
+            for (peak, own, value) in [
+                (&mut plan.peak_voltage_v, &mut segment.peak_voltage_v, point.voltage_v),
+                (&mut plan.peak_current_a, &mut segment.peak_current_a, point.current_a),
+                (&mut plan.peak_speed_rad_s, &mut segment.peak_speed_rad_s, point.speed_rad_s),
+                (&mut plan.travel_rad, &mut segment.travel_rad, point.angle_rad),
+                (&mut plan.peak_returned_w, &mut segment.peak_returned_w, returned_w),
+            ] {
+                raise(peak, value);
+                raise(own, value);
+            }
+            segment.coasting_points += usize::from(point.coasts);
+            segment.peak_reverse_v = segment.peak_reverse_v.max(-point.wanted_v);
             if point.wanted_v < 0.0 && point.current_a < -self.reverse_a {
-                part.peak_reverse_a = part.peak_reverse_a.max(-point.current_a);
+                segment.peak_reverse_a = segment.peak_reverse_a.max(-point.current_a);
             }
         }
-        self.i2t_a2_s += point.current_a * point.current_a * self.step_s;
-        self.returned_j += returned_w * self.step_s;
-        self.energy_j += (point.voltage_v * point.current_a).max(0.0) * self.step_s;
-        raise(&mut self.peak_current_a, point.current_a);
-        raise(&mut self.peak_speed_rad_s, point.speed_rad_s);
+        plan.i2t_a2_s += point.current_a * point.current_a * self.step_s;
+        plan.returned_j += returned_w * self.step_s;
+        plan.energy_j += (point.voltage_v * point.current_a).max(0.0) * self.step_s;
         if self.points > 0 && !point.coasts {
             let rise_rad_s = point.speed_rad_s - self.last.speed_rad_s;
             raise(&mut self.peak_acceleration_rad_s2, rise_rad_s / self.step_s);
@@ -418,23 +387,23 @@ const REVERSE_V: &str = "reverse voltage";
 const REVERSE_A: &str = "reverse current";
 
 /// Refusals by load and converter, one of a kind for each segment.
-fn by_load_and_converter(predicted: &Prediction, limits: &Limits) -> Vec<Refusal> {
+fn by_load_and_converter(plan: &Plan, limits: &Limits, step_s: f64) -> Vec<Refusal> {
     let mut refusals = Vec::new();
-    if let (Some(first), Some(last)) = (predicted.parts.first(), predicted.parts.last())
+    if let (Some(first), Some(last)) = (plan.segments.first(), plan.segments.last())
         && limits.load.missing().is_some()
     {
-        refusals.push(first.segment.refuses(UNHELD, last.segment.end_s, 0.0, "s"));
+        refusals.push(first.refuses(UNHELD, last.end_s, 0.0, "s"));
     }
-    for part in &predicted.parts {
-        let coasts_s = predicted.step_s * part.coasting_points as f64;
+    for segment in &plan.segments {
+        let coasts_s = step_s * segment.coasting_points as f64;
         let found = [
             (limits.load.vertical, FALL, coasts_s, "s"),
-            (limits.quadrants < 2, REVERSE_V, part.peak_reverse_v, "V"),
-            (limits.quadrants == 2, REVERSE_A, part.peak_reverse_a, "A"),
+            (limits.quadrants < 2, REVERSE_V, segment.peak_reverse_v, "V"),
+            (limits.quadrants == 2, REVERSE_A, segment.peak_reverse_a, "A"),
         ];
         for (applies, quantity, most, unit) in found {
             if applies && most > 0.0 {
-                refusals.push(part.segment.refuses(quantity, most, 0.0, unit));
+                refusals.push(segment.refuses(quantity, most, 0.0, unit));
             }
         }
     }
@@ -491,9 +460,14 @@ pub struct Observability {
     pub reason: String,
 }
 
-fn parameters(predicted: &Prediction, motor: &Nameplate, rate_hz: f64) -> Vec<Observability> {
-    let current_share = predicted.peak_current_a / motor.rated_current_a;
-    let speed_share = predicted.peak_speed_rad_s / motor.rated_speed_rad_s;
+fn parameters(
+    predicted: &Prediction,
+    plan: &Plan,
+    motor: &Nameplate,
+    rate_hz: f64,
+) -> Vec<Observability> {
+    let current_share = plan.peak_current_a / motor.rated_current_a;
+    let speed_share = plan.peak_speed_rad_s / motor.rated_speed_rad_s;
     let inertial_share = predicted.peak_acceleration_rad_s2 * motor.inertia_kg_m2
         / (motor.back_emf_v_s_per_rad * motor.rated_current_a);
     let turns_rad_s = 0.05 * motor.rated_speed_rad_s;

@@ -100,7 +100,7 @@ impl Session {
     #[must_use]
     pub fn with_waivers(mut self, waived: Vec<String>) -> Self {
         if waived.iter().any(|check| check == PLAUSIBILITY) {
-            self.guard.waive_plausibility();
+            self.guard.plausibility.waive();
         }
         if waived.iter().any(|check| check == WATCHDOG) {
             self.drive.watchdog = Watchdog::Waived;
@@ -112,7 +112,7 @@ impl Session {
     /// Readings at rest, from which the guard estimates the noise of the sensors.
     #[must_use]
     pub fn with_rest(mut self, rest: &[Sample]) -> Self {
-        self.guard.estimate_noise(rest);
+        self.guard.plausibility.estimate_noise(rest);
         self
     }
 
@@ -387,17 +387,17 @@ impl Session {
         if let (State::Stopping { requested_s, .. }, Demand::Stop) = (&mut self.state, demand) {
             *requested_s = Some(self.now_s);
         }
-        self.guard.sent(&command);
+        self.guard.plausibility.sent(&command);
         self.actions.push(Action::Send(command));
         command
     }
 
     fn sample(&mut self, sample: Sample) {
         let armed = self.phase().is_energised();
-        self.guard.follow(self.reference_rad_s());
+        self.guard.plausibility.follow(self.reference_rad_s());
         let trip = self.guard.watch(self.now_s, &sample, armed).cloned();
         if let (None, State::Running(since_s)) = (&trip, &self.state) {
-            let proven = self.guard.plausibility().has_proven_direction();
+            let proven = self.guard.plausibility.has_proven_direction();
             self.pilot.sample(self.now_s, self.now_s - since_s, &sample, proven);
             self.report_unwatched();
         }
@@ -443,7 +443,7 @@ impl Session {
         if std::mem::replace(&mut self.unwatched_reported, true) {
             return;
         }
-        if let Some(text) = self.guard.plausibility().unwatched() {
+        if let Some(text) = self.guard.plausibility.unwatched() {
             self.notice(Level::Info, format!("not watched: {text}"));
         }
     }
@@ -486,8 +486,8 @@ impl Session {
 
     fn intent(&mut self, intent: &Intent) {
         let detail = match intent {
-            Intent::Mark(text) => json!({ "intent": intent.name(), "text": text }),
-            _ => json!({ "intent": intent.name() }),
+            Intent::Mark(text) => json!({ "intent": intent, "text": text }),
+            _ => json!({ "intent": intent }),
         };
         self.event("intent", detail);
         let refused = match intent {
@@ -510,7 +510,7 @@ impl Session {
             Intent::Mark(_) => Ok(()),
         };
         if let Err(reason) = refused {
-            self.event("refused", json!({ "intent": intent.name(), "reason": reason }));
+            self.event("refused", json!({ "intent": intent, "reason": reason }));
             self.notice(Level::Warning, reason);
         }
     }

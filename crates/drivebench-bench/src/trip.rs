@@ -6,109 +6,86 @@ use serde::{Deserialize, Serialize};
 
 use drivebench_model::sample::DriveState;
 
-/// The name in events and reports is the snake-case form.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TripKind {
-    OverCurrent,
-    OverSpeed,
-    OverVoltage,
-    Travel,
-    BusLow,
-    BusHigh,
-    TimeLimit,
+/// The kinds, each with its name in a sentence.
+macro_rules! kinds {
+    ($($(#[$doc:meta])* $kind:ident = $name:literal,)+) => {
+        /// The name in events and reports is the snake-case form.
+        #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        pub enum TripKind {
+            $($(#[$doc])* $kind,)+
+        }
+
+        impl TripKind {
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$kind => $name,)+
+                }
+            }
+        }
+    };
+}
+
+kinds! {
+    OverCurrent = "over-current",
+    OverSpeed = "over-speed",
+    OverVoltage = "over-voltage",
+    Travel = "travel window left",
+    BusLow = "bus voltage too low",
+    BusHigh = "bus voltage too high",
+    TimeLimit = "time limit",
     /// No valid reply for longer than the limit.
-    LinkSilence,
+    LinkSilence = "link silent",
     /// No valid reply for longer than the limit, but exceptions of a drive or a gateway.
-    Refused,
+    Refused = "requests refused",
     /// The computer was suspended, as a laptop whose lid is closed: the motor ran unsupervised.
-    Suspended,
+    Suspended = "computer suspended",
     /// The process was stopped: the motor ran unsupervised.
-    HostGap,
+    HostGap = "host stood still",
     /// A limited quantity that the drive used to give is missing.
-    SignalMissing,
+    SignalMissing = "signal missing",
     /// The drive's time, or the host's, does not advance.
-    ClockStuck,
+    ClockStuck = "clock stuck",
     /// The drive's time jumps: it was switched off and on again.
-    Restarted,
-    DriveFault,
+    Restarted = "drive restarted",
+    DriveFault = "drive fault",
     /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
-    NotRunning,
-    LocalControl,
-    OtherMaster,
+    NotRunning = "drive does not run",
+    LocalControl = "local control",
+    OtherMaster = "another master",
     /// Safe torque off, or another enable input, has switched the output off.
-    TorqueOff,
+    TorqueOff = "torque off",
     /// The measured speed is constant while by voltage and current it changes.
-    EncoderFrozen,
+    EncoderFrozen = "encoder frozen",
     /// The measured speed has the opposite sign of that by voltage and current.
-    EncoderReversed,
+    EncoderReversed = "encoder reversed",
     /// The measured speed is far from that by voltage and current.
-    SpeedImplausible,
+    SpeedImplausible = "speed implausible",
     /// The shaft does not turn under a current that should turn it: it is held, or the encoder is frozen.
-    ShaftHeld,
+    ShaftHeld = "shaft held",
     /// The measured angle is not the integral of the measured speed.
-    AngleImplausible,
+    AngleImplausible = "angle implausible",
     /// The measured current is constant while by voltage and speed it changes.
-    CurrentStuck,
+    CurrentStuck = "current stuck",
     /// The measured current has the opposite sign of that by voltage and speed.
-    CurrentReversed,
+    CurrentReversed = "current reversed",
     /// The measured current is far from that by voltage and speed.
-    CurrentImplausible,
-    OpenCircuit,
-    SetPointIgnored,
+    CurrentImplausible = "current implausible",
+    OpenCircuit = "open circuit",
+    SetPointIgnored = "set-point not followed",
     /// The measured voltage is not that by current and speed.
-    VoltageImplausible,
-    SignalsSwapped,
+    VoltageImplausible = "voltage implausible",
+    SignalsSwapped = "signals swapped",
     /// The field current is below the least: a motor without a field runs away.
-    FieldLost,
+    FieldLost = "field lost",
     /// The speed grows beyond its reference although the torque is against it.
-    Runaway,
+    Runaway = "runaway",
     /// A speed loop oscillates, and its gains cannot fall.
-    LoopSwings,
-    LoopSaturated,
+    LoopSwings = "loop swings",
+    LoopSaturated = "loop saturated",
 }
 
 impl TripKind {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::OverCurrent => "over-current",
-            Self::OverSpeed => "over-speed",
-            Self::OverVoltage => "over-voltage",
-            Self::Travel => "travel window left",
-            Self::BusLow => "bus voltage too low",
-            Self::BusHigh => "bus voltage too high",
-            Self::TimeLimit => "time limit",
-            Self::LinkSilence => "link silent",
-            Self::Refused => "requests refused",
-            Self::Suspended => "computer suspended",
-            Self::HostGap => "host stood still",
-            Self::SignalMissing => "signal missing",
-            Self::ClockStuck => "clock stuck",
-            Self::Restarted => "drive restarted",
-            Self::DriveFault => "drive fault",
-            Self::NotRunning => "drive does not run",
-            Self::LocalControl => "local control",
-            Self::OtherMaster => "another master",
-            Self::TorqueOff => "torque off",
-            Self::EncoderFrozen => "encoder frozen",
-            Self::EncoderReversed => "encoder reversed",
-            Self::SpeedImplausible => "speed implausible",
-            Self::ShaftHeld => "shaft held",
-            Self::AngleImplausible => "angle implausible",
-            Self::CurrentStuck => "current stuck",
-            Self::CurrentReversed => "current reversed",
-            Self::CurrentImplausible => "current implausible",
-            Self::OpenCircuit => "open circuit",
-            Self::SetPointIgnored => "set-point not followed",
-            Self::VoltageImplausible => "voltage implausible",
-            Self::SignalsSwapped => "signals swapped",
-            Self::FieldLost => "field lost",
-            Self::Runaway => "runaway",
-            Self::LoopSwings => "loop swings",
-            Self::LoopSaturated => "loop saturated",
-        }
-    }
-
     /// Whether it was the link that was lost (exit status 3) and not a limit that was crossed (4).
     pub const fn is_link(self) -> bool {
         matches!(self, Self::LinkSilence | Self::Refused | Self::HostGap | Self::Suspended)

@@ -34,25 +34,17 @@ use self::time_column::{rising_rows, time_column};
 use self::units::settle_units;
 use crate::recording::Preview;
 use drivebench_identify::sanity::{self, Fault, Kind};
+use drivebench_model::findings;
 use drivebench_model::plant::{Model, Scenario};
 use drivebench_model::sample::{Channel, Origin, Run};
 
-/// How far a part of a map is to be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Confidence {
-    Sure,
-    Likely,
-    Unsure,
-}
-
-impl Confidence {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Sure => "sure",
-            Self::Likely => "likely",
-            Self::Unsure => "unsure",
-        }
+findings! {
+    /// How far a part of a map is to be trusted.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+    pub enum Confidence {
+        Sure = "sure",
+        Likely = "likely",
+        Unsure = "unsure",
     }
 }
 

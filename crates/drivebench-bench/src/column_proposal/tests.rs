@@ -51,7 +51,7 @@ fn proposal_with(
 /// Confidence and source of one quantity.
 fn of(found: &Proposal, target: &str) -> String {
     let item = found.items.iter().find(|item| item.target == target);
-    item.map_or_else(String::new, |item| format!("{} {}", item.confidence.name(), item.source))
+    item.map_or_else(String::new, |item| format!("{} {}", item.confidence.code(), item.source))
 }
 
 #[test]

@@ -150,9 +150,9 @@ impl Layout {
         text_of(|writer| writer.write_record(self.names()))
     }
 
-    /// Appends the row with its line feed.
-    pub fn push_line(&self, row: &Row, text: &mut String) {
-        let line = text_of(|writer| {
+    /// The row with its line feed.
+    pub fn line(&self, row: &Row) -> String {
+        text_of(|writer| {
             write_number(writer, row.time_s)?;
             if self.host_time {
                 write_number(writer, row.host_time_s.unwrap_or(f64::NAN))?;
@@ -168,15 +168,7 @@ impl Layout {
                 writer.write_field(&row.quality)?;
             }
             writer.write_record(END)
-        });
-        text.push_str(&line);
-    }
-
-    /// The row with its line feed.
-    pub fn line(&self, row: &Row) -> String {
-        let mut text = String::new();
-        self.push_line(row, &mut text);
-        text
+        })
     }
 }
 

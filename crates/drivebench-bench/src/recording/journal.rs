@@ -264,7 +264,6 @@ struct Moved<S> {
 /// Rows and events as lines in two sinks, for the threaded and the in-memory recorder.
 pub(super) struct Journal<S> {
     layout: Layout,
-    line: String,
     samples: Lines<S>,
     events: Lines<S>,
     sync_every_rows: usize,
@@ -285,7 +284,6 @@ impl<S: Durable> Journal<S> {
         sync_every_rows: usize,
     ) -> Self {
         let mut journal = Self {
-            line: String::new(),
             samples,
             events,
             sync_every_rows: sync_every_rows.max(1),
@@ -378,9 +376,7 @@ impl<S: Durable> Journal<S> {
     pub(super) fn rows(&mut self, rows: &[Row]) {
         let lost = self.samples.lost;
         for row in rows {
-            self.line.clear();
-            self.layout.push_line(row, &mut self.line);
-            self.samples.keep(&self.line);
+            self.samples.keep(&self.layout.line(row));
         }
         // Rows that come together are written together.
         let result = self.samples.drain();

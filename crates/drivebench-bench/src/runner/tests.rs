@@ -107,7 +107,7 @@ struct Scripted<'a> {
     test: TestRun<'a>,
 }
 
-impl<'a> Scripted<'a> {
+impl Scripted<'_> {
     fn new(drive: ScriptedDrive) -> Self {
         Self {
             drive,

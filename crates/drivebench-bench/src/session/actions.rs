@@ -5,6 +5,7 @@ use serde::Serialize;
 use crate::recording::Event;
 use crate::trip::Trip;
 use drivebench_link::LinkError;
+use drivebench_model::findings;
 use drivebench_model::sample::{Command, Sample};
 
 #[derive(Clone, Debug, PartialEq)]
@@ -50,28 +51,18 @@ impl From<&LinkError> for Lost {
     }
 }
 
-/// A request of the user, of a signal or of the workflow.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Intent {
-    /// Output on at zero, then the program.
-    Start,
-    /// Ramp down and end; a second one ends at once.
-    Stop,
-    /// As `Stop`, and the program is to end (Ctrl-C, SIGTERM, SIGHUP, `q`).
-    Quit,
-    ResetFault,
-    Mark(String),
-}
-
-impl Intent {
-    pub const fn name(&self) -> &'static str {
-        match self {
-            Self::Start => "start",
-            Self::Stop => "stop",
-            Self::Quit => "quit",
-            Self::ResetFault => "reset_fault",
-            Self::Mark(_) => "mark",
-        }
+findings! {
+    /// A request of the user, of a signal or of the workflow.
+    #[derive(Clone, Debug, PartialEq, Eq)]
+    pub enum Intent {
+        /// Output on at zero, then the program.
+        Start = "start",
+        /// Ramp down and end; a second one ends at once.
+        Stop = "stop",
+        /// As `Stop`, and the program is to end (Ctrl-C, SIGTERM, SIGHUP, `q`).
+        Quit = "quit",
+        ResetFault = "reset_fault",
+        Mark(String) = "mark",
     }
 }
 
