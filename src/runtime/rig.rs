@@ -23,10 +23,10 @@ use drivebench_bench::recording::{
 };
 use drivebench_bench::{
     Bench, BenchFile, BenchFileError, CheckError, CheckOptions, CheckReport, Clock, CurrentsPilot,
-    CurrentsSection, FirstMove, Guard, Level, LoopDelay, MonotonicClock, Nameplate, Notice,
-    OnlineSettings, Outcome, Plan, PlanError, Port, RATE_CHECK, ReopenBench, ReopenOptions,
-    Reopened, RowEstimator, RunOptions, RunSummary, Session, Snapshot, SpeedPilot, Target, Waivers,
-    check, layout, manifest, measure_delay, plan_run, reopen, run, stage_session,
+    CurrentsSection, FirstMove, Guard, Level, LoopDelay, LostDrive, MonotonicClock, Nameplate,
+    Notice, OnlineSettings, Outcome, Plan, PlanError, Port, RATE_CHECK, Reopened, RowEstimator,
+    RunOptions, RunSummary, Session, Snapshot, SpeedPilot, Target, Waivers, check, layout,
+    manifest, measure_delay, plan_run, reopen, run, stage_session,
 };
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle, VirtualClock, mystery};
 use drivebench_identify::escalation::Stage;
@@ -610,24 +610,21 @@ impl Rig {
                 .terminal
                 .message(&format!("link lost: looking for {link} again{time}; Ctrl-C ends that"));
         }
-        let options = ReopenOptions {
-            link,
-            before: &check.identity,
-            end: summary.end,
-            seq: self.last_seq,
-            limit_s,
-            seed: std::process::id().into(),
-        };
         let (profile, tap) = (&self.profile, self.connection.tap.file());
         let (reopened, link) = reopen(
-            ReopenBench {
+            LostDrive {
                 clock: self.connection.clock.as_mut(),
                 recorder,
                 stopped: &|| controls.is_stopped(),
                 intents: controls.intents(),
                 snapshots: &controls.snapshots,
+                link,
+                before: &check.identity,
+                end: summary.end,
+                seq: self.last_seq,
+                limit_s,
+                seed: std::process::id().into(),
             },
-            &options,
             &mut || reopener.open(profile, tap),
         );
         if let Some(link) = link {

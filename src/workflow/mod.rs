@@ -14,8 +14,6 @@
 //!
 //! The driver (`commands`) carries the tasks out: it owns link, clock and files. The analysis itself is pure and is done here.
 
-use std::sync::{Arc, Mutex, PoisonError};
-
 mod burst;
 mod commission;
 mod discovery;
@@ -39,19 +37,7 @@ pub use next_bench::{bench_for, experiment_limits, next_bench};
 pub use provisional_ranking::{ProvisionalRanking, RankingWatch};
 pub use truth::{ORDER, Size, Truth, sizes};
 
-/// The latest value, shared between the worker and the screen; neither waits for the other.
-#[derive(Clone, Debug, Default)]
-pub struct Latest<T>(Arc<Mutex<Arc<T>>>);
+use drivebench_bench::Latest;
 
 pub type ProgressCell = Latest<Progress>;
 pub type RankingCell = Latest<ProvisionalRanking>;
-
-impl<T> Latest<T> {
-    pub fn latest(&self) -> Arc<T> {
-        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
-    }
-
-    pub fn publish(&self, value: T) {
-        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(value);
-    }
-}

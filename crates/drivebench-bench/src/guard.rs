@@ -23,36 +23,6 @@ use super::trip::{Trip, TripKind};
 use drivebench_link::CommandTimes;
 use drivebench_model::sample::{Channel, Demand, DriveState, Hindrance, Sample};
 
-struct Thresholds {
-    /// Difference between drive's and host's time over two samples above which the drive was off in between, s; the allowed
-    /// silence where that is longer.
-    restart_s: f64,
-    /// An exchange that was given all of the remaining silence ends within this of its end, s.
-    silence_end_s: f64,
-    /// Successive samples without a watched signal, or with the same drive time, that end the run.
-    successive: u32,
-    /// Longest time in another state after the drive has left that of running by itself (one late status word), s.
-    left_running_s: f64,
-    /// Measured voltage over the commanded limit: ripple, noise and calibration of the drive.
-    voltage_margin: f64,
-    /// Longest wait for a shaft to come to rest, s.
-    longest_coast_s: f64,
-    /// Shares of the speed and of the current limit below which a motor counts as at rest.
-    rest_speed: f64,
-    rest_current: f64,
-}
-
-const THRESHOLDS: Thresholds = Thresholds {
-    restart_s: 0.1,
-    silence_end_s: 1e-6,
-    successive: 3,
-    left_running_s: 0.05,
-    voltage_margin: 1.1,
-    longest_coast_s: 60.0,
-    rest_speed: 0.01,
-    rest_current: 0.02,
-};
-
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum RestError {
     #[error("not at rest: {name} {value:.3} {unit}, at most {limit:.3} {unit} is allowed")]
@@ -126,9 +96,8 @@ impl Guard {
             motor.resistance_ohm * motor.load_torque_n_m.abs() / motor.back_emf_v_s_per_rad;
         let plausibility = Plausibility::of(&limits, motor, drive_current_limit_a);
         let torque = motor.back_emf_v_s_per_rad * limits.current_a;
-        let braking_s = winding_v.map_or(0.0, |_| {
-            (motor.inertia_kg_m2 * limits.speed_rad_s / torque).min(THRESHOLDS.longest_coast_s)
-        });
+        let braking_s =
+            winding_v.map_or(0.0, |_| motor.inertia_kg_m2 * limits.speed_rad_s / torque);
         Self { braking_s, ..Self::with_shaper(limits, shaper, plausibility) }
     }
 
@@ -180,8 +149,8 @@ impl Guard {
     /// braking by the supply or the current limit, whichever is longer. The shaft may turn for longer.
     pub fn ramp_down_s(&self) -> f64 {
         let coast_s = self.shaper.coast_s(self.limits.speed_rad_s);
-        self.shaper.ramp_s(self.limits.voltage_v)
-            + coast_s.min(THRESHOLDS.longest_coast_s).max(self.braking_s)
+        let longest_coast_s = 60.0;
+        self.shaper.ramp_s(self.limits.voltage_v) + coast_s.max(self.braking_s).min(longest_coast_s)
     }
 
     /// Whether the last command left the output off: the motor stands or coasts.
@@ -240,7 +209,8 @@ impl Guard {
             return None;
         }
         let silent_s = self.last_valid_s.map_or(0.0, |last_s| now_s - last_s);
-        if silent_s > limit_s - THRESHOLDS.silence_end_s {
+        // An exchange that was given all of the remaining silence ends within 1 us of its end.
+        if silent_s > limit_s - 1e-6 {
             let times_s = (silent_s, limit_s);
             return match self.refusal.take() {
                 Some(message) => self.latch(Trip::refused(now_s, times_s, &message)),
@@ -369,10 +339,9 @@ impl Guard {
         if let Some(state @ (DriveState::Running | DriveState::Fault)) = sample.state {
             return Err(RestError::State { state: state.name() });
         }
-        for (channel, limit) in [
-            (Channel::Speed, self.rest_rad_s()),
-            (Channel::Current, THRESHOLDS.rest_current * self.limits.current_a),
-        ] {
+        for (channel, limit) in
+            [(Channel::Speed, self.rest_rad_s()), (Channel::Current, 0.02 * self.limits.current_a)]
+        {
             let (name, unit) = (channel.name(), channel.unit());
             match sample.get(channel) {
                 Some(value) if value.abs() <= limit => {}
@@ -387,8 +356,8 @@ impl Guard {
     }
 
     /// Speed below which the shaft counts as at rest, rad/s.
-    pub fn rest_rad_s(&self) -> f64 {
-        THRESHOLDS.rest_speed * self.limits.speed_rad_s
+    pub const fn rest_rad_s(&self) -> f64 {
+        self.shaper.rest_rad_s
     }
 
     /// Keeps the time for which the output was on, and since when the drive should run.
@@ -409,7 +378,8 @@ impl Guard {
         let read = |channel| sample.get(channel);
         let angle = read(Channel::Angle).zip(self.counts.angle_origin_rad);
         let travel = angle.map(|(angle, origin)| angle - origin);
-        let voltage_v = THRESHOLDS.voltage_margin * limits.voltage_v;
+        // For ripple, noise and calibration of the drive.
+        let voltage_v = 1.1 * limits.voltage_v;
         let above = |value: f64, limit: f64| value > limit;
         let below = |value: f64, limit: f64| value < limit;
         let beyond = |value: f64, limit: f64| value.abs() > limit;
@@ -468,7 +438,7 @@ impl Guard {
         let (since_s, limit_s) = if self.counts.has_run {
             let since_s = *self.counts.not_running_since_s.get_or_insert(now_s);
             // The first reply with another state may be a status word of before; the second is not.
-            (since_s, THRESHOLDS.left_running_s)
+            (since_s, 0.05)
         } else {
             (wanted_since_s, self.enable_time_s)
         };
@@ -506,7 +476,7 @@ impl Guard {
         let last = self.last_sample?;
         let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
         // A clock that was on all the time never runs back.
-        let restart_s = THRESHOLDS.restart_s;
+        let restart_s = 0.1;
         let most_s =
             if drive_s < 0.0 { restart_s } else { self.limits.link_silence_s.max(restart_s) };
         ((drive_s - host_s).abs() > most_s).then_some((drive_s, host_s, most_s))
@@ -536,7 +506,7 @@ impl Guard {
 
     /// A condition in too many successive samples; `None`: not yet.
     fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Option<Trip> {
-        let most = THRESHOLDS.successive - 1;
+        let most = 2;
         let what = format!("{what} in {times} samples running, {most} allowed");
         (times > most).then(|| Trip::new(kind, now_s, (times.into(), most.into()), what))
     }

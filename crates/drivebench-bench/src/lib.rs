@@ -65,10 +65,10 @@ pub use pattern::fits_pattern;
 pub use pilot::{Pilot, PilotEvent};
 pub use plan::{Observability, Plan, PlanError, Prospect, Refusal, SegmentPlan, plan_run};
 pub use plausibility::Plausibility;
-pub use reopen::{ReopenBench, ReopenEnding, ReopenOptions, Reopened, RunEnd, reopen};
+pub use reopen::{LostDrive, ReopenEnding, Reopened, RunEnd, reopen};
 pub use runner::{Bench, RunOptions, RunSummary, run};
 pub use session::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase, Session};
-pub use snapshot::{InnovationPoint, Snapshot, SnapshotCell, Target, TracePoint};
+pub use snapshot::{InnovationPoint, Latest, Snapshot, SnapshotCell, Target, TracePoint};
 pub use speed::{
     ControllerKind, Design, ForwardUse, GainChange, GainsSection, LoopDelay, PilotSettings,
     Reference, ReferenceError, ReferencePart, ReferenceStep, Regulator, RegulatorError, SpeedPilot,
@@ -78,3 +78,11 @@ pub use speed::{
 pub use stop::{LastSeconds, Stop};
 pub use timing::Timing;
 pub use trip::{Trip, TripKind};
+
+/// Appends to a queue that keeps so many.
+fn push_within<T>(queue: &mut std::collections::VecDeque<T>, item: T, most: usize) {
+    if queue.len() == most {
+        queue.pop_front();
+    }
+    queue.push_back(item);
+}

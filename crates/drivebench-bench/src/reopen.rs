@@ -54,7 +54,8 @@ impl Reopened {
     }
 }
 
-pub struct ReopenBench<'a> {
+/// The lost drive, the bench of its run, and the limits of the search.
+pub struct LostDrive<'a> {
     pub clock: &'a mut dyn Clock,
     /// The run's, still open.
     pub recorder: &'a mut dyn Record,
@@ -62,19 +63,6 @@ pub struct ReopenBench<'a> {
     pub stopped: &'a dyn Fn() -> bool,
     pub intents: &'a Receiver<Intent>,
     pub snapshots: &'a SnapshotCell,
-}
-
-/// Times at the end of a run.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct RunEnd {
-    /// From host time to the samples' time axis, s.
-    pub drive_minus_host_s: f64,
-    /// Host time of the last valid reply, s.
-    pub last_reply_s: f64,
-}
-
-/// The lost drive, and the limits of the search.
-pub struct ReopenOptions<'a> {
     pub link: &'a str,
     pub before: &'a Identity,
     pub end: RunEnd,
@@ -86,25 +74,23 @@ pub struct ReopenOptions<'a> {
     pub seed: u64,
 }
 
+/// Times at the end of a run.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RunEnd {
+    /// From host time to the samples' time axis, s.
+    pub drive_minus_host_s: f64,
+    /// Host time of the last valid reply, s.
+    pub last_reply_s: f64,
+}
+
 /// Opens the link anew.
 type Open<'a> = &'a mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>;
 
 /// Searches until the drive is found, the time is over or the user ends it; `open` opens the link anew. Returns the link only
 /// of the same drive.
-pub fn reopen<'a>(
-    bench: ReopenBench<'a>,
-    options: &'a ReopenOptions<'a>,
-    open: Open<'_>,
-) -> (Reopened, Option<Box<dyn DriveLink>>) {
-    let now_s = bench.clock.now_s();
-    let mut search = Search {
-        bench,
-        options,
-        reopening: Reopening::new(now_s, options.limit_s, options.seed),
-        last_reason: String::new(),
-        identity: None,
-    };
-    search.search(open)
+pub fn reopen(lost: LostDrive<'_>, open: Open<'_>) -> (Reopened, Option<Box<dyn DriveLink>>) {
+    let reopening = Reopening::new(lost.clock.now_s(), lost.limit_s, lost.seed);
+    Search { lost, reopening, last_reason: String::new(), identity: None }.search(open)
 }
 
 /// Result of an attempt.
@@ -116,8 +102,7 @@ enum Attempt {
 }
 
 struct Search<'a> {
-    bench: ReopenBench<'a>,
-    options: &'a ReopenOptions<'a>,
+    lost: LostDrive<'a>,
     reopening: Reopening,
     /// A repeated reason is reported once.
     last_reason: String,
@@ -128,10 +113,10 @@ impl Search<'_> {
     fn search(&mut self, open: Open<'_>) -> (Reopened, Option<Box<dyn DriveLink>>) {
         let lost = self
             .event("link_lost")
-            .with("link", self.options.link)
-            .with("watchdog_s", self.options.before.watchdog_s)
-            .with("reopens_for_s", self.options.limit_s);
-        self.bench.recorder.event(lost);
+            .with("link", self.lost.link)
+            .with("watchdog_s", self.lost.before.watchdog_s)
+            .with("reopens_for_s", self.lost.limit_s);
+        self.lost.recorder.event(lost);
         loop {
             let Some(due_s) = self.reopening.due_s() else {
                 let reason = match self.last_reason.as_str() {
@@ -154,10 +139,10 @@ impl Search<'_> {
                             .event("reopen_failed")
                             .with("attempt", attempt)
                             .with("reason", reason.as_str());
-                        self.bench.recorder.event(event);
+                        self.lost.recorder.event(event);
                         self.last_reason = reason;
                     }
-                    self.reopening.failed(self.bench.clock.now_s());
+                    self.reopening.failed(self.lost.clock.now_s());
                 }
                 Attempt::AnotherDrive(reason) => {
                     let text = format!("identity mismatch: {reason}; nothing was written to it");
@@ -200,7 +185,7 @@ impl Search<'_> {
             }
             Err(error) => return Attempt::Failed(error.to_string()),
         };
-        let difference = another_drive(self.options.before, &identity);
+        let difference = another_drive(self.lost.before, &identity);
         self.identity = Some(identity);
         if let Some(reason) = difference {
             return Attempt::AnotherDrive(reason);
@@ -210,7 +195,7 @@ impl Search<'_> {
                 "the drive is back, and was not brought to rest: {error}"
             ));
         }
-        let seq = self.options.seq.wrapping_add(1);
+        let seq = self.lost.seq.wrapping_add(1);
         match link.exchange(Command { seq, demand: Demand::Disable }) {
             Ok(sample) if sample.state == Some(DriveState::Running) => {
                 Attempt::Failed("the drive is back, and reports that it runs".to_owned())
@@ -224,20 +209,20 @@ impl Search<'_> {
     fn wait_until(&mut self, due_s: f64) -> bool {
         loop {
             let leaves = |intent| matches!(intent, Intent::Stop | Intent::Quit);
-            if (self.bench.stopped)() || self.bench.intents.try_iter().any(leaves) {
+            if (self.lost.stopped)() || self.lost.intents.try_iter().any(leaves) {
                 return false;
             }
-            let now_s = self.bench.clock.now_s();
+            let now_s = self.lost.clock.now_s();
             if now_s >= due_s {
                 return true;
             }
-            self.bench.clock.sleep_until_s(due_s.min(now_s + 0.05));
+            self.lost.clock.sleep_until_s(due_s.min(now_s + 0.05));
         }
     }
 
     fn end(&mut self, ending: ReopenEnding, state: Option<DriveState>, text: &str) -> Reopened {
-        let downtime_s = (self.bench.clock.now_s() - self.options.end.last_reply_s).max(0.0);
-        let (link, attempts) = (self.options.link, self.reopening.attempts());
+        let downtime_s = (self.lost.clock.now_s() - self.lost.end.last_reply_s).max(0.0);
+        let (link, attempts) = (self.lost.link, self.reopening.attempts());
         let reopened = Reopened {
             ending,
             attempts,
@@ -250,7 +235,7 @@ impl Search<'_> {
         if let Ok(serde_json::Value::Object(details)) = serde_json::to_value(&reopened) {
             event.details.extend(details);
         }
-        self.bench.recorder.event(event);
+        self.lost.recorder.event(event);
         let is_safe = reopened.is_safe() && state != Some(DriveState::Fault);
         let phase = is_safe.then_some(Phase::Safe);
         self.show(reopened.text.clone(), phase, state);
@@ -258,18 +243,18 @@ impl Search<'_> {
     }
 
     fn event(&self, kind: &str) -> Event {
-        let now_s = self.bench.clock.now_s();
-        let time_s = now_s + self.options.end.drive_minus_host_s;
-        Event::new(time_s, Some(self.options.seq), kind).with("host_time_s", now_s)
+        let now_s = self.lost.clock.now_s();
+        let time_s = now_s + self.lost.end.drive_minus_host_s;
+        Event::new(time_s, Some(self.lost.seq), kind).with("host_time_s", now_s)
     }
 
     /// The state before the loss is not shown any more.
     fn show(&self, text: String, phase: Option<Phase>, state: Option<DriveState>) {
-        let mut snapshot = (*self.bench.snapshots.latest()).clone();
+        let mut snapshot = (*self.lost.snapshots.latest()).clone();
         snapshot.reopening = Some(text);
         snapshot.phase = phase.or(snapshot.phase);
         snapshot.drive_state = state;
-        self.bench.snapshots.publish(snapshot);
+        self.lost.snapshots.publish(snapshot);
     }
 }
 

@@ -26,7 +26,7 @@ use super::speed::SpeedReport;
 use super::stop::{LastSeconds, Stop, StopWatch};
 use super::timing::{Punctuality, Timing};
 use super::trip::{Trip, TripKind};
-use crate::recording::{CommandRow, Event, Manifest, Record};
+use crate::recording::{CommandRow, Event, Manifest, Record, Row};
 use drivebench_identify::online::Frozen;
 use drivebench_link::{Burst, Capture, DriveLink, LineCounts, LinkError, LinkStatistics};
 use drivebench_model::numerics::count::whole;
@@ -176,11 +176,13 @@ pub fn run(session: Session, bench: Bench<'_>, options: &RunOptions) -> RunSumma
         not_started: None,
         burst_armed: false,
         slept_s: bench.clock.slept_s(),
+        clock: bench.clock,
+        options,
         record_messages: 0,
         watch: LineWatch::new(options.rate_hz),
         stop: StopWatch::default(),
     };
-    runner.run_to_end(bench.clock, bench.intents, bench.interrupted, options)
+    runner.run_to_end(bench.intents, bench.interrupted)
 }
 
 /// Zero output also where the loop ends by a panic.
@@ -196,6 +198,8 @@ impl Drop for StopOnDrop<'_> {
 }
 
 struct Runner<'a> {
+    options: &'a RunOptions,
+    clock: &'a mut dyn Clock,
     session: Session,
     link: StopOnDrop<'a>,
     recorder: &'a mut dyn Record,
@@ -220,27 +224,21 @@ struct Runner<'a> {
 }
 
 impl Runner<'_> {
-    fn run_to_end(
-        &mut self,
-        clock: &mut dyn Clock,
-        intents: &Receiver<Intent>,
-        interrupted: &AtomicBool,
-        options: &RunOptions,
-    ) -> RunSummary {
-        let period_s = 1.0 / options.rate_hz;
-        let begin_s = clock.now_s();
+    fn run_to_end(&mut self, intents: &Receiver<Intent>, interrupted: &AtomicBool) -> RunSummary {
+        let period_s = 1.0 / self.options.rate_hz;
+        let begin_s = self.clock.now_s();
         let mut cycle: u64 = 0;
-        let mut start_pending = options.auto_start;
+        let mut start_pending = self.options.auto_start;
         while self.outcome.is_none() {
             let mut due_s = begin_s + cycle as f64 * period_s;
-            self.await_cycle(clock, due_s);
-            let now_s = clock.now_s();
+            self.await_cycle(due_s);
+            let now_s = self.clock.now_s();
             let missed = whole((now_s - due_s) / period_s) as u64;
             if missed > 0 {
                 cycle += missed;
                 due_s = begin_s + cycle as f64 * period_s;
                 self.punctuality.missed(missed);
-                self.feed(clock, Input::Missed(missed));
+                self.feed(Input::Missed(missed));
             }
             self.punctuality.cycle(now_s, now_s - due_s);
             if let Some(stop_request) = self.link.0.stop_request() {
@@ -248,39 +246,33 @@ impl Runner<'_> {
                 stop_request.lower();
             }
             if interrupted.swap(false, Ordering::AcqRel) {
-                self.feed(clock, Input::Intent(Intent::Quit));
+                self.feed(Input::Intent(Intent::Quit));
             }
             while let Ok(intent) = intents.try_recv() {
-                self.feed(clock, Input::Intent(intent));
+                self.feed(Input::Intent(intent));
             }
             if start_pending {
-                start_pending = !self.try_start(clock, now_s - begin_s);
+                start_pending = !self.try_start(now_s - begin_s);
             }
-            self.feed(clock, Input::Cycle);
+            self.feed(Input::Cycle);
             if now_s >= self.publisher.next_s {
                 self.report_record(now_s);
-                self.publish(now_s, options.rate_hz, None);
+                self.publish(now_s, None);
             }
             cycle += 1;
         }
         // Whatever the state of the session: the last command to the drive is zero output.
-        let sent_s = clock.now_s();
+        let sent_s = self.clock.now_s();
         let stopped = self.link.0.stop();
-        self.note_last_stop(sent_s, clock.now_s(), &stopped);
+        self.note_last_stop(sent_s, self.clock.now_s(), &stopped);
         if let Some(notice) = self.session.stop_notice(stopped.as_ref().err()) {
             self.notify(notice);
         }
         let stop_error = stopped.err().map(|error| error.to_string());
-        let waiting = self.recorder.flush();
-        self.stop.rows(waiting.iter().map(|row| row.time_s));
-        if let Some(estimator) = self.estimator.as_mut() {
-            for row in waiting {
-                estimator.push(row);
-            }
-        }
-        let now_s = clock.now_s();
+        follow(self.recorder.flush(), &mut self.stop, self.estimator.as_deref_mut());
+        let now_s = self.clock.now_s();
         // A drive that did not confirm its stop gets no request for records.
-        let capture = if stop_error.is_none() { self.fetch_burst(clock) } else { None };
+        let capture = if stop_error.is_none() { self.fetch_burst() } else { None };
         let outcome = match (self.outcome.take(), self.not_started.take()) {
             (Some(Outcome::Stopped) | None, Some(reason)) => Outcome::NotStarted { reason },
             (outcome, _) => outcome.unwrap_or(Outcome::Stopped),
@@ -289,13 +281,13 @@ impl Runner<'_> {
         let stop = self.stop.stop(self.session.watchdog_s());
         self.report_stop(now_s, &outcome, stop.as_ref());
         let end = (outcome.name(), stop_error.clone(), stop.clone());
-        self.publish(now_s, options.rate_hz, Some(end));
+        self.publish(now_s, Some(end));
         let recorder = self.recorder.status();
         let (estimates, excitation, frozen) = self.estimated();
         RunSummary {
             rows: recorder.rows as u64,
             duration_s: now_s - begin_s,
-            timing: self.punctuality.timing(options.rate_hz),
+            timing: self.punctuality.timing(self.options.rate_hz),
             link: self.link.0.statistics(),
             capture,
             wire: Wire::of(self.link.0),
@@ -331,9 +323,8 @@ impl Runner<'_> {
     /// In the record, and as a notice where the run did not go to its end.
     fn report_stop(&mut self, now_s: f64, outcome: &Outcome, stop: Option<&Stop>) {
         let Some(stop) = stop else { return };
-        let event = Event::new(now_s + self.end.drive_minus_host_s, None, "stop");
         let detail = serde_json::to_value(stop).unwrap_or(Value::Null);
-        self.recorder.event(event.with("host_time_s", now_s).with("stop", detail));
+        self.recorder.event(self.event(now_s, "stop").with("stop", detail));
         // The notice of an unconfirmed one came with the link's last error.
         if *outcome != Outcome::Done && stop.confirmed_after_ms.is_some() {
             self.notify(Notice { level: Level::Info, text: stop.sentence() });
@@ -341,21 +332,21 @@ impl Runner<'_> {
     }
 
     /// Waits until the next cycle is due, or acts at the end of the allowed silence before.
-    fn await_cycle(&mut self, clock: &mut dyn Clock, due_s: f64) {
+    fn await_cycle(&mut self, due_s: f64) {
         if self.session.phase().is_energised() {
-            let now_s = clock.now_s();
+            let now_s = self.clock.now_s();
             let over_s = now_s + self.session.guard().silence_left_s(now_s);
             if over_s < due_s {
-                clock.sleep_until_s(over_s);
-                self.feed(clock, Input::Silence);
+                self.clock.sleep_until_s(over_s);
+                self.feed(Input::Silence);
             }
         }
-        clock.sleep_until_s(due_s);
+        self.clock.sleep_until_s(due_s);
     }
 
     /// Starts as soon as the session is safe; ends the run where that is refused or takes too long. Returns whether it is
     /// decided.
-    fn try_start(&mut self, clock: &dyn Clock, waited_s: f64) -> bool {
+    fn try_start(&mut self, waited_s: f64) -> bool {
         if self.session.phase() == Phase::Safe {
             let sample = self.session.last_sample();
             let rest = sample.map(|sample| self.session.guard().check_rest(sample));
@@ -364,7 +355,7 @@ impl Runner<'_> {
             if waited_s <= CONNECT_TIME_S && may_rest {
                 return false;
             }
-            self.feed(clock, Input::Intent(Intent::Start));
+            self.feed(Input::Intent(Intent::Start));
             if self.session.phase() != Phase::Safe {
                 return true;
             }
@@ -378,16 +369,16 @@ impl Runner<'_> {
         } else {
             return false;
         }
-        self.feed(clock, Input::Intent(Intent::Stop));
+        self.feed(Input::Intent(Intent::Stop));
         true
     }
 
     /// One input and everything that follows from it.
-    fn feed(&mut self, clock: &dyn Clock, input: Input) {
+    fn feed(&mut self, input: Input) {
         self.inputs.push_back(input);
         loop {
             // A suspension comes before all other inputs.
-            let slept_s = clock.slept_s() - self.slept_s;
+            let slept_s = self.clock.slept_s() - self.slept_s;
             if slept_s > SUSPENDED_S {
                 self.slept_s += slept_s;
                 self.inputs.push_front(Input::Suspended(slept_s));
@@ -396,7 +387,7 @@ impl Runner<'_> {
                 break;
             };
             let mut actions = std::mem::take(&mut self.actions);
-            let now_s = clock.now_s();
+            let now_s = self.clock.now_s();
             self.session.step(now_s, input, &mut actions);
             let phase = self.session.phase();
             let offset_s = self.end.drive_minus_host_s;
@@ -406,24 +397,19 @@ impl Runner<'_> {
                 self.stop.confirmed(now_s);
             }
             for action in actions.drain(..) {
-                self.act(clock, action);
+                self.act(action);
             }
             self.actions = actions;
         }
     }
 
-    fn act(&mut self, clock: &dyn Clock, action: Action) {
+    fn act(&mut self, action: Action) {
         match action {
-            Action::Send(command) => self.exchange(clock, command),
+            Action::Send(command) => self.exchange(command),
             Action::ArmBurst => self.arm_burst(),
             Action::Row(sample) => {
                 let rows = self.recorder.row(&sample);
-                self.stop.rows(rows.iter().map(|row| row.time_s));
-                if let Some(estimator) = self.estimator.as_mut() {
-                    for row in rows {
-                        estimator.push(row);
-                    }
-                }
+                follow(rows, &mut self.stop, self.estimator.as_deref_mut());
                 self.publisher.sample(&sample, self.demand, self.session.reference_rad_s());
             }
             Action::Event(mut event) => {
@@ -435,8 +421,8 @@ impl Runner<'_> {
         }
     }
 
-    fn exchange(&mut self, clock: &dyn Clock, command: Command) {
-        let sent_s = clock.now_s();
+    fn exchange(&mut self, command: Command) {
+        let sent_s = self.clock.now_s();
         self.demand = command.demand;
         let is_recorded = self.session.phase().is_recorded();
         let reference_rad_s = self.session.reference_rad_s();
@@ -448,7 +434,7 @@ impl Runner<'_> {
         };
         self.link.0.bound(left_s);
         let answer = self.link.0.exchange(command);
-        let now_s = clock.now_s();
+        let now_s = self.clock.now_s();
         if command.demand == Demand::Stop {
             // A stop waits for no silence of the line: it goes out as soon as it is handed over.
             self.stop.requested(sent_s, self.link.0.has_sent_command());
@@ -495,8 +481,7 @@ impl Runner<'_> {
             if event == FOREIGN_WRITES {
                 self.inputs.push_back(Input::OtherMaster(line.foreign_writes));
             }
-            let event = Event::new(now_s + self.end.drive_minus_host_s, None, event);
-            self.recorder.event(event.with("host_time_s", now_s).with(key, figure));
+            self.recorder.event(self.event(now_s, event).with(key, figure));
             self.notify(notice);
         }
     }
@@ -505,9 +490,7 @@ impl Runner<'_> {
     fn report_record(&mut self, now_s: f64) {
         for text in self.recorder.status().messages.into_iter().skip(self.record_messages) {
             self.record_messages += 1;
-            let event = Event::new(now_s + self.end.drive_minus_host_s, None, "record");
-            let event = event.with("host_time_s", now_s);
-            self.recorder.event(event.with("message", text.as_str()));
+            self.recorder.event(self.event(now_s, "record").with("message", text.as_str()));
             self.warn(text);
         }
     }
@@ -525,7 +508,7 @@ impl Runner<'_> {
     }
 
     /// Fetches the capture with the output off; the drive may still be recording.
-    fn fetch_burst(&mut self, clock: &mut dyn Clock) -> Option<Capture> {
+    fn fetch_burst(&mut self) -> Option<Capture> {
         if !self.burst_armed {
             return None;
         }
@@ -540,10 +523,15 @@ impl Runner<'_> {
                 Some(Err(error)) => reason = error.to_string(),
                 Some(Ok(None)) | None => {}
             }
-            clock.sleep_until_s(clock.now_s() + 0.1);
+            self.clock.sleep_until_s(self.clock.now_s() + 0.1);
         }
         self.warn(format!("the burst capture is lost: {reason}"));
         None
+    }
+
+    fn event(&self, now_s: f64, kind: &str) -> Event {
+        let time_s = now_s + self.end.drive_minus_host_s;
+        Event::new(time_s, None, kind).with("host_time_s", now_s)
     }
 
     fn warn(&mut self, text: String) {
@@ -563,12 +551,7 @@ impl Runner<'_> {
     }
 
     /// `end`: of a run that is over.
-    fn publish(
-        &mut self,
-        now_s: f64,
-        rate_hz: f64,
-        end: Option<(&'static str, Option<String>, Option<Stop>)>,
-    ) {
+    fn publish(&mut self, now_s: f64, end: Option<(&'static str, Option<String>, Option<Stop>)>) {
         let (estimates, excitation, frozen) = self.estimated();
         let innovation = self.estimator.as_ref().and_then(|one| one.online().innovation());
         self.publisher.innovation(innovation);
@@ -577,7 +560,7 @@ impl Runner<'_> {
             snapshot.excitation = Arc::new(excitation);
             snapshot.frozen = frozen;
             snapshot.link_statistics = self.link.0.statistics();
-            snapshot.timing = self.punctuality.timing(rate_hz);
+            snapshot.timing = self.punctuality.timing(self.options.rate_hz);
             snapshot.rows = recorder.rows as u64;
             snapshot.recorder_error = recorder.error;
             if let Some((outcome, stop_error, stop)) = end {
@@ -585,6 +568,15 @@ impl Runner<'_> {
                 (snapshot.stop_error, snapshot.stop) = (stop_error, stop);
             }
         });
+    }
+}
+
+fn follow(rows: &[Row], stop: &mut StopWatch, estimator: Option<&mut RowEstimator>) {
+    stop.rows(rows.iter().map(|row| row.time_s));
+    if let Some(estimator) = estimator {
+        for row in rows {
+            estimator.push(row);
+        }
     }
 }
 

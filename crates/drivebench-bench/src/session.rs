@@ -14,7 +14,7 @@ mod state;
 
 pub use actions::{Action, Input, Intent, Level, Lost, Notice, Outcome, Phase};
 
-use self::state::{BrakeMotion, BrakeOrder, Drive, Shaping, State, TIMES, Watchdog};
+use self::state::{BrakeMotion, BrakeOrder, Drive, Shaping, State, Watchdog};
 use serde_json::{Value, json};
 
 use super::check::WATCHDOG;
@@ -290,15 +290,15 @@ impl Session {
             }
             State::Connecting(since_s) => {
                 let waited_s = self.now_s - *since_s.get_or_insert(self.now_s);
-                if self.drive.sample.is_none() && waited_s > TIMES.first_reply_s {
-                    let limit_s = TIMES.first_reply_s;
+                let limit_s = 3.0;
+                if self.drive.sample.is_none() && waited_s > limit_s {
                     self.lose(&format!("no valid reply within {limit_s} s"));
                 }
             }
             State::Stopping { since_s, .. } => {
                 let waited_s = self.now_s - *since_s;
                 let silent_s = waited_s.min(self.now_s - self.drive.replied_s);
-                if waited_s > self.drive.stop_time_s || silent_s > TIMES.stop_silence_s {
+                if waited_s > self.drive.stop_time_s || silent_s > 1.0 {
                     self.finish(false);
                 }
             }
@@ -331,7 +331,8 @@ impl Session {
         let State::RampDown { since_s, .. } = self.state else {
             return;
         };
-        let longest_s = self.guard.ramp_down_s() + TIMES.come_to_rest_s;
+        // A braked shaft comes to rest within 2 s after the output has reached zero.
+        let longest_s = self.guard.ramp_down_s() + 2.0;
         let is_at_zero = self.shaping.is_none() && self.is_at_rest();
         if self.now_s - since_s <= longest_s && !is_at_zero {
             // A shaft that moves again has to rest anew before its brake counts as applied.

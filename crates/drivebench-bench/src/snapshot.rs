@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use super::limits::{MODEL_KEYS, Nameplate};
 use super::live_online::Excitation;
 use super::plan::under_voltage;
+use super::push_within;
 use super::session::{Notice, Phase, Session};
 use super::stop::Stop;
 use super::timing::Timing;
@@ -103,10 +104,24 @@ pub struct Snapshot {
     pub stop: Option<Stop>,
 }
 
-/// The latest snapshot, shared between the runner and the screens. Neither waits for the other.
+/// The latest value, shared between its thread and the screens; neither waits for the other.
+#[derive(Clone, Debug, Default)]
+pub struct Latest<T>(Arc<Mutex<Arc<T>>>);
+
+impl<T> Latest<T> {
+    pub fn latest(&self) -> Arc<T> {
+        Arc::clone(&self.0.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    pub fn publish(&self, value: T) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(value);
+    }
+}
+
+/// The latest snapshot of a run.
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotCell {
-    latest: Arc<Mutex<Arc<Snapshot>>>,
+    latest: Latest<Snapshot>,
     /// Receives every notice at once, where no screen reads snapshots.
     notices: Option<Sender<Notice>>,
 }
@@ -120,7 +135,7 @@ impl SnapshotCell {
     /// The same cell for a reader.
     #[must_use]
     pub fn reader(&self) -> Self {
-        Self { latest: Arc::clone(&self.latest), notices: None }
+        Self { latest: self.latest.clone(), notices: None }
     }
 
     pub fn send(&self, notice: &Notice) {
@@ -131,11 +146,11 @@ impl SnapshotCell {
     }
 
     pub fn latest(&self) -> Arc<Snapshot> {
-        Arc::clone(&self.latest.lock().unwrap_or_else(PoisonError::into_inner))
+        self.latest.latest()
     }
 
     pub fn publish(&self, snapshot: Snapshot) {
-        *self.latest.lock().unwrap_or_else(PoisonError::into_inner) = Arc::new(snapshot);
+        self.latest.publish(snapshot);
     }
 }
 
@@ -168,15 +183,12 @@ impl Publisher {
     pub(super) fn sample(&mut self, sample: &Sample, demand: Demand, reference_rad_s: Option<f64>) {
         let origin_s = *self.origin_s.get_or_insert(sample.time_s);
         let cell = |channel| sample.get(channel).unwrap_or(f64::NAN);
-        if self.points.len() == POINTS {
-            self.points.pop_front();
-        }
         let applied = sample.applied.map_or(sample.time_s, |applied| applied.time_s);
         let command_v = match demand {
             Demand::Voltage(volts) => volts,
             _ => f64::NAN,
         };
-        self.points.push_back(TracePoint {
+        let point = TracePoint {
             command_v,
             applied_s: applied - origin_s,
             time_s: sample.time_s - origin_s,
@@ -185,7 +197,8 @@ impl Publisher {
             speed_rad_s: cell(Channel::Speed),
             model_speed_rad_s: self.model.follow(sample, demand),
             reference_rad_s: reference_rad_s.unwrap_or(f64::NAN),
-        });
+        };
+        push_within(&mut self.points, point, POINTS);
     }
 
     /// Innovation of the newest sample; NaN without a prediction.
@@ -194,11 +207,8 @@ impl Publisher {
             return;
         };
         let (current_a, speed_rad_s) = innovation.unwrap_or((f64::NAN, f64::NAN));
-        if self.innovations.len() == POINTS {
-            self.innovations.pop_front();
-        }
-        let time_s = newest.time_s;
-        self.innovations.push_back(InnovationPoint { time_s, current_a, speed_rad_s });
+        let point = InnovationPoint { time_s: newest.time_s, current_a, speed_rad_s };
+        push_within(&mut self.innovations, point, POINTS);
     }
 
     pub(super) fn notice(&mut self, notice: Notice) {

@@ -19,27 +19,8 @@ use super::limit::find;
 use drivebench_model::numerics::statistics::{extent, mean, variance};
 use drivebench_model::text::number::{significant, with_std};
 
-struct Margins {
-    /// Cases of which one fails by chance, all parameters of a case together.
-    false_alarms: f64,
-    /// Of a parameter whatever its interval: copper that is 5 K warmer has 2 % more resistance.
-    at_least_percent: f64,
-    /// Quantile of the chi-square distribution beyond which the spread of the runs is that of the machine, not of their
-    /// intervals.
-    by_chance: f64,
-    /// Factor on the worst held-out error.
-    error: f64,
-    /// Further effects that may be not shown, beyond those of the runs: which of them is just detected varies.
-    not_shown: usize,
-}
-
-const MARGINS: Margins = Margins {
-    false_alarms: 1000.0,
-    at_least_percent: 2.0,
-    by_chance: 0.95,
-    error: 1.25,
-    not_shown: 3,
-};
+/// Cases of which one fails by chance, all parameters of a case together.
+const FALSE_ALARMS: f64 = 1000.0;
 
 /// A figure of a part of a speed loop: key, unit, limit by the worst of the runs, and the margin in words.
 type Figure = (&'static str, &'static str, fn(f64) -> f64, &'static str);
@@ -123,7 +104,7 @@ pub fn golden(name: &str, runs: &[GoldenRun], target: &SuiteTarget) -> Result<Go
          # include the variation from day to day in the limits.\n\n\
          name = {}\n",
         names.collect::<Vec<_>>().join("\n"),
-        MARGINS.false_alarms,
+        FALSE_ALARMS,
         quoted(name)
     );
     let mut limits = Vec::new();
@@ -198,7 +179,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
             // Which effect a run just shows varies from run to run, so that the next run may show fewer.
             let open = of("not_shown").unwrap_or_default();
             if let Some(most) = open.iter().filter_map(Value::as_array).map(Vec::len).max() {
-                let more = MARGINS.not_shown;
+                let more = 3;
                 let reason = format!(
                     "{most} effects at most were neither named nor ruled out; which of them a run just shows varies, so that {more} more are allowed"
                 );
@@ -213,7 +194,7 @@ fn commission_limits(runs: &[&GoldenRun]) -> Result<Vec<GoldenLimit>, Refused> {
     if let Some(most) = errors.map(|errors| extent(&errors).1) {
         limit(
             "held_out_error",
-            quoted(&format!("< {}", significant(MARGINS.error * most.max(1.0), 3))),
+            quoted(&format!("< {}", significant(1.25 * most.max(1.0), 3))),
             format!(
                 "the largest was {} noise floors; a quarter more than that, or than the floor",
                 significant(most, 3)
@@ -261,7 +242,7 @@ fn parameter_limits(case: &'static str, runs: &[&GoldenRun]) -> Result<Vec<Golde
                 .to_owned(),
         ));
     }
-    let level = 1.0 / (MARGINS.false_alarms * common.len() as f64);
+    let level = 1.0 / (FALSE_ALARMS * common.len() as f64);
     Ok(common.iter().map(|own| parameter_limit(case, own, level)).collect())
 }
 
@@ -298,9 +279,9 @@ fn parameter_limit(case: &'static str, runs: &[&Estimate], level: f64) -> Golden
     let own = mean(&runs.iter().map(|own| own.std.powi(2)).collect::<Vec<_>>()).sqrt();
     let between = if values.len() > 1 { variance(&values).sqrt() } else { 0.0 };
     let freedom = count - 1.0;
-    let by_chance = ChiSquared::new(freedom.max(1.0)).map_or(f64::INFINITY, |chi| {
-        own * (chi.inverse_cdf(MARGINS.by_chance) / freedom.max(1.0)).sqrt()
-    });
+    // Beyond this spread of the runs is that of the machine, not of their intervals.
+    let by_chance = ChiSquared::new(freedom.max(1.0))
+        .map_or(f64::INFINITY, |chi| own * (chi.inverse_cdf(0.95) / freedom.max(1.0)).sqrt());
     // Few runs that differ by more than their intervals: the quantile of Student's distribution.
     let (std, factor, whose) = if between > by_chance {
         (
@@ -314,7 +295,8 @@ fn parameter_limit(case: &'static str, runs: &[&Estimate], level: f64) -> Golden
     };
     let around = mean(&values);
     let statistical = factor * std * (1.0 + 1.0 / count).sqrt();
-    let percent = MARGINS.at_least_percent;
+    // Copper that is 5 K warmer has 2 % more resistance.
+    let percent = 2.0;
     let least = percent / 100.0 * around.abs();
     let width = statistical.max(least);
     let unit = &runs[0].unit;

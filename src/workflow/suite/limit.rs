@@ -24,13 +24,10 @@ pub enum Limit {
         least: f64,
         most: f64,
     },
-    Below {
+    /// `<`, `<=`, `>` or `>=` the bound.
+    Beyond {
+        sign: &'static str,
         bound: f64,
-        or_equal: bool,
-    },
-    Above {
-        bound: f64,
-        or_equal: bool,
     },
     Word(String),
     /// A list of these words, in their order.
@@ -87,21 +84,18 @@ impl Limit {
             }
             return Ok(Self::Has(part.trim().to_lowercase()));
         }
-        for (sign, is_below, or_equal) in
-            [("<=", true, true), (">=", false, true), ("<", true, false), (">", false, false)]
-        {
+        for sign in ["<=", ">=", "<", ">"] {
             let Some(rest) = text.strip_prefix(sign) else {
                 continue;
             };
             let bound = rest.trim().parse().ok().filter(|bound: &f64| bound.is_finite());
-            return match (bound, is_below) {
-                (Some(bound), true) => Ok(Self::Below { bound, or_equal }),
-                (Some(bound), false) => Ok(Self::Above { bound, or_equal }),
-                (None, _) => Err((
+            let Some(bound) = bound else {
+                return Err((
                     format!("{text:?} has no number after {sign}"),
                     "write the number without a unit: the key has it".to_owned(),
-                )),
+                ));
             };
+            return Ok(Self::Beyond { sign, bound });
         }
         Ok(match text {
             "none" => Self::Nothing,
@@ -164,8 +158,10 @@ impl Limit {
     fn holds(&self, figure: f64) -> bool {
         match *self {
             Self::Within { least, most } => (least..=most).contains(&figure),
-            Self::Below { bound, or_equal } => figure < bound || or_equal && figure <= bound,
-            Self::Above { bound, or_equal } => figure > bound || or_equal && figure >= bound,
+            Self::Beyond { sign: "<", bound } => figure < bound,
+            Self::Beyond { sign: "<=", bound } => figure <= bound,
+            Self::Beyond { sign: ">", bound } => figure > bound,
+            Self::Beyond { bound, .. } => figure >= bound,
             Self::Word(_) | Self::Words(_) | Self::Has(_) | Self::Flag(_) | Self::Nothing => false,
         }
     }
@@ -173,7 +169,6 @@ impl Limit {
 
 impl std::fmt::Display for Limit {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let equal = |or_equal: bool| if or_equal { "=" } else { "" };
         match self {
             Self::Within { least, most } if least.to_bits() == most.to_bits() => {
                 write!(f, "{least}")
@@ -181,8 +176,7 @@ impl std::fmt::Display for Limit {
             Self::Within { least, most } => {
                 write!(f, "{} to {}", significant(*least, 6), significant(*most, 6))
             }
-            Self::Below { bound, or_equal } => write!(f, "<{} {bound}", equal(*or_equal)),
-            Self::Above { bound, or_equal } => write!(f, ">{} {bound}", equal(*or_equal)),
+            Self::Beyond { sign, bound } => write!(f, "{sign} {bound}"),
             Self::Word(word) => write!(f, "{word}"),
             Self::Words(words) => write!(f, "{}", words.join(", ")),
             Self::Has(part) => write!(f, "a text with {part:?}"),

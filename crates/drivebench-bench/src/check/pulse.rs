@@ -6,9 +6,6 @@ use drivebench_control::Actuator;
 use drivebench_identify::belief::Plate;
 use drivebench_model::sample::{Channel, Demand, Sample};
 
-/// Samples further apart than so many cycles have a pause between them: more than one lost reply.
-const PAUSE_CYCLES: f64 = 2.5;
-
 /// What holds a load at rest, in the unit of the quantity and as current.
 pub(super) fn hold(kind: Actuator, nameplate: &Nameplate, limits: &Limits) -> (f64, f64) {
     let hold_a = limits.load.hold_a();
@@ -192,7 +189,8 @@ impl Leg {
             self.held_at = Some(demand.abs());
         }
         let since_s = self.last_s.map_or(0.0, |last_s| sample.time_s - last_s);
-        let pause_s = (since_s > PAUSE_CYCLES * size.period_s).then_some(since_s);
+        // More than one lost reply.
+        let pause_s = (since_s > 2.5 * size.period_s).then_some(since_s);
         self.pause_s = self.pause_s.into_iter().chain(pause_s).reduce(f64::max);
         self.last_s = Some(sample.time_s);
         let point = Point {

@@ -11,25 +11,6 @@ use super::source::{Source, Sources, VOLTAGES};
 use drivebench_identify::sanity::{self, Balances, EXPLAINS};
 use drivebench_model::sample::Channel;
 
-/// Candidates of one quantity that are tried.
-const MOST_TRIED: usize = 6;
-
-/// The chosen candidates.
-#[derive(Debug, Default)]
-pub(super) struct Chosen {
-    pub sources: Vec<Source>,
-}
-
-impl Chosen {
-    pub(super) fn has(&self, channels: &[Channel]) -> bool {
-        self.sources.iter().any(|source| source.is_of(channels))
-    }
-
-    pub(super) fn get_mut(&mut self, channel: Channel) -> Option<&mut Source> {
-        self.sources.iter_mut().find(|source| source.is_of(&[channel]))
-    }
-}
-
 struct Trial<'a> {
     picked: [Option<&'a Source>; 3],
     /// Pairs of columns that are of different motors.
@@ -81,11 +62,10 @@ impl<'a> Trial<'a> {
     }
 }
 
-/// Chooses voltage, current and speed together, then what else stands in the file.
-pub(super) fn choose(time_s: &[f64], sources: &Sources, headers: &[String]) -> Chosen {
-    let options = [&VOLTAGES[..], &[Channel::Current], &[Channel::Speed]].map(|channels| {
-        sources.of(channels).take(MOST_TRIED).map(Some).chain([None]).collect::<Vec<_>>()
-    });
+/// Chooses voltage, current and speed together of six candidates each, then what else stands in the file.
+pub(super) fn choose(time_s: &[f64], sources: &Sources, headers: &[String]) -> Vec<Source> {
+    let options = [&VOLTAGES[..], &[Channel::Current], &[Channel::Speed]]
+        .map(|channels| sources.of(channels).take(6).map(Some).chain([None]).collect::<Vec<_>>());
     let mut trials = Vec::new();
     for voltage in &options[0] {
         for current in &options[1] {
@@ -95,19 +75,19 @@ pub(super) fn choose(time_s: &[f64], sources: &Sources, headers: &[String]) -> C
         }
     }
     trials.sort_by(|one, other| one.preference(other).then(one.cost().total_cmp(&other.cost())));
-    let Some((best, others)) = trials.split_first() else { return Chosen::default() };
-    let mut chosen = Chosen { sources: best.picked.into_iter().flatten().cloned().collect() };
+    let Some((best, others)) = trials.split_first() else { return Vec::new() };
+    let mut chosen: Vec<Source> = best.picked.into_iter().flatten().cloned().collect();
     compare_with_others(&mut chosen, best, others, headers);
     if let Some(balances) = best.balances {
-        settle_signs(time_s, &mut chosen.sources, &balances);
+        settle_signs(time_s, &mut chosen, &balances);
     }
-    chosen.sources.extend(sources.first(Channel::Torque));
+    chosen.extend(sources.first(Channel::Torque));
     chosen
 }
 
 /// What the balances show of the other candidates that are preferred as much.
 fn compare_with_others(
-    chosen: &mut Chosen,
+    chosen: &mut [Source],
     best: &Trial<'_>,
     others: &[Trial<'_>],
     headers: &[String],
@@ -118,12 +98,12 @@ fn compare_with_others(
     };
     let is_equal = |other: &&Trial<'_>| best.preference(other) == Ordering::Equal;
     let (apart, rivals): (Vec<_>, Vec<_>) = others.iter().filter(is_equal).partition(is_apart);
-    if let (Some(another), Some(first)) = (apart.first(), chosen.sources.first_mut()) {
+    if let (Some(another), Some(first)) = (apart.first(), chosen.first_mut()) {
         first.doubts.push(Doubt::OtherMotor(another.columns().map(name).collect()));
         first.at_least(Confidence::Likely);
     }
     let places = (0..3).filter(|place| best.picked[*place].is_some());
-    for (place, source) in places.zip(&mut chosen.sources) {
+    for (place, source) in places.zip(chosen) {
         let rival = rivals.iter().find_map(|rival| {
             let other = rival.picked[place].filter(|other| other.columns != source.columns)?;
             Some((rival, other))
@@ -172,10 +152,14 @@ fn settle_signs(time_s: &[f64], sources: &mut [Source], given: &Balances) {
     }
 }
 
+pub(super) fn of_channel(sources: &mut [Source], channel: Channel) -> Option<&mut Source> {
+    sources.iter_mut().find(|source| source.is_of(&[channel]))
+}
+
 /// The shaft takes more work from the motor than it gives back.
-pub(super) fn settle_torque(time_s: &[f64], chosen: &mut Chosen) {
-    let speed = chosen.get_mut(Channel::Speed).map(|speed| speed.values.clone());
-    let (Some(speed), Some(torque)) = (speed, chosen.get_mut(Channel::Torque)) else { return };
+pub(super) fn settle_torque(time_s: &[f64], chosen: &mut [Source]) {
+    let speed = of_channel(chosen, Channel::Speed).map(|speed| speed.values.clone());
+    let (Some(speed), Some(torque)) = (speed, of_channel(chosen, Channel::Torque)) else { return };
     let work = |row: usize| torque.values[row] * speed[row] * (time_s[row] - time_s[row - 1]);
     let all = (1..time_s.len()).map(work).filter(|work| work.is_finite());
     let (work, passed) =

@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 
 use serde::Serialize;
 
-use self::choice::{Chosen, choose, settle_torque};
+use self::choice::{choose, settle_torque};
 use self::known::{Known, Tool};
 use self::reading::{Reading, readings};
 use self::source::{Source, Sources, Table};
@@ -145,7 +145,7 @@ pub fn propose(preview: &Preview, given: &BTreeMap<String, f64>) -> Proposal {
     let mut angle = sources.first(Channel::Angle);
     settle_units(&table.time_s, &mut chosen, angle.as_mut());
     match time {
-        Ok(time) => chosen.sources.insert(0, time),
+        Ok(time) => chosen.insert(0, time),
         Err(missing) => proposal.missing.push(missing),
     }
     finish(&mut proposal, &table, sources, (chosen, angle));
@@ -203,29 +203,30 @@ fn finish(
     proposal: &mut Proposal,
     table: &Table<'_>,
     sources: Sources,
-    (mut chosen, angle): (Chosen, Option<Source>),
+    (mut chosen, angle): (Vec<Source>, Option<Source>),
 ) {
     let headers = &table.preview.headers;
+    let has = |chosen: &[Source], channels: &[Channel]| chosen.iter().any(|it| it.is_of(channels));
     let text = |source: &Source| format!("{}={}", source.key(), source.text(headers));
     match angle {
-        Some(angle) if chosen.has(&[Channel::Speed]) => {
+        Some(angle) if has(&chosen, &[Channel::Speed]) => {
             proposal.unused.push(Unused::Angle { source: text(&angle) });
         }
-        angle => chosen.sources.extend(angle),
+        angle => chosen.extend(angle),
     }
     let used: Vec<usize> =
-        chosen.sources.iter().flat_map(|source| source.columns.iter().copied()).collect();
+        chosen.iter().flat_map(|source| source.columns.iter().copied()).collect();
     // A torque that a drive calculates from its current adds nothing to that current.
-    if chosen.has(&[Channel::Current]) {
+    if has(&chosen, &[Channel::Current]) {
         let calculated = |source: &mut Source| source.is_of(&[Channel::Torque]) && source.rank > 0;
-        let left_out = chosen.sources.extract_if(.., calculated);
+        let left_out = chosen.extract_if(.., calculated);
         let unused = |it: Source| Unused::Torque { source: text(&it), reasons: it.reasons };
         proposal.unused.extend(left_out.map(unused));
     }
-    if !chosen.has(&[Channel::Speed, Channel::Angle]) {
+    if !has(&chosen, &[Channel::Speed, Channel::Angle]) {
         proposal.missing.push(Missing::Speed);
     }
-    if !chosen.has(&[Channel::Voltage, Channel::VoltageCmd, Channel::Current, Channel::Torque]) {
+    if !has(&chosen, &[Channel::Voltage, Channel::VoltageCmd, Channel::Current, Channel::Torque]) {
         proposal.missing.push(Missing::Input);
     }
     // A supply voltage serves as a factor of a duty.
@@ -239,8 +240,8 @@ fn finish(
     let others = sources.all.iter().filter(is_other);
     proposal.unused.extend(others.map(|source| Unused::Other { source: text(source) }));
     proposal.unused.dedup();
-    proposal.items.extend(chosen.sources.iter().map(|source| item(source, headers)));
-    for source in &chosen.sources {
+    proposal.items.extend(chosen.iter().map(|source| item(source, headers)));
+    for source in &chosen {
         for column in &source.columns {
             let header = headers[*column].clone();
             let count = headers.iter().filter(|other| **other == header).count();
@@ -251,15 +252,15 @@ fn finish(
     }
     proposal.missing.dedup();
     if proposal.missing.is_empty() {
-        let parts: Vec<String> = chosen.sources.iter().map(text).collect();
+        let parts: Vec<String> = chosen.iter().map(text).collect();
         proposal.map = Some(parts.join(","));
         proposal.doubts = doubts_of_record(table, &chosen, proposal.holes().count() > 0);
     }
 }
 
-fn doubts_of_record(table: &Table<'_>, chosen: &Chosen, has_hole: bool) -> Vec<Fault> {
+fn doubts_of_record(table: &Table<'_>, chosen: &[Source], has_hole: bool) -> Vec<Fault> {
     let Ok(mut run) = Run::new("preview", table.time_s.clone()) else { return Vec::new() };
-    for source in &chosen.sources {
+    for source in chosen {
         let Some(target) = source.target else { continue };
         if run.set_column(target, source.values.clone(), Origin::Unknown).is_err() {
             return Vec::new();

@@ -1,7 +1,7 @@
 //! The units of speed and angle against each other: the speed is the derivative of the angle.
 
 use super::Confidence;
-use super::choice::Chosen;
+use super::choice::of_channel;
 use super::finding::{Doubt, Reason};
 use super::known::{Factor, Unit};
 use super::reading::UnitFrom;
@@ -25,8 +25,8 @@ fn ratio(time_s: &[f64], speed: &Source, angle: &Source) -> Option<f64> {
 }
 
 /// Settles the units of speed and angle, and the pole pairs of an electrical speed.
-pub(super) fn settle_units(time_s: &[f64], chosen: &mut Chosen, angle: Option<&mut Source>) {
-    let Some(speed) = chosen.get_mut(Channel::Speed) else { return };
+pub(super) fn settle_units(time_s: &[f64], chosen: &mut [Source], angle: Option<&mut Source>) {
+    let Some(speed) = of_channel(chosen, Channel::Speed) else { return };
     if let Some(angle) = angle
         && angle.factor.number.is_none()
         && let Some(ratio) = ratio(time_s, speed, angle)

@@ -8,7 +8,8 @@ use std::collections::VecDeque;
 
 use serde::Serialize;
 
-use super::{Limits, Nameplate, THRESHOLDS};
+use super::{Limits, Nameplate};
+use crate::push_within;
 use drivebench_model::sample::Demand;
 
 /// Longest time over which a slew limit is counted, s: after a longer pause the output does not jump further.
@@ -61,7 +62,7 @@ pub(super) struct Shaper {
     /// Last measured speed: a missing one must not make the back-EMF vanish at full speed.
     speed_rad_s: f64,
     /// Speed below which the shaft counts as at rest, and its back-EMF as the sensor's noise.
-    rest_rad_s: f64,
+    pub(super) rest_rad_s: f64,
     /// Host time of that speed, s; `None`: the drive gives none.
     speed_at_s: Option<f64>,
     /// The last six measured speeds, the newest at the end.
@@ -90,7 +91,7 @@ impl Shaper {
             slew_v_per_s: limits.slew_v_per_s,
             back_emf_v_s_per_rad,
             winding_v,
-            rest_rad_s: THRESHOLDS.rest_speed * limits.speed_rad_s,
+            rest_rad_s: 0.01 * limits.speed_rad_s,
             fresh_s: f64::INFINITY,
             was_off: true,
             ..Self::default()
@@ -138,10 +139,7 @@ impl Shaper {
         self.speed_rad_s = speed_rad_s;
         self.speed_at_s = Some(now_s);
         self.stale_back_emf_v = None;
-        if self.speeds.len() == 6 {
-            self.speeds.pop_front();
-        }
-        self.speeds.push_back(speed_rad_s);
+        push_within(&mut self.speeds, speed_rad_s, 6);
     }
 
     /// Whether the measured speed may slow a ramp down: it is fresh (whatever the period 0.3 s at most), plausible, and falls

@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::ops::RangeInclusive;
 
+use crate::push_within;
 use drivebench_identify::belief::{Range, Row, Scale, Settings};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Channel, Command, Demand, Sample, Sensors};
@@ -201,11 +202,4 @@ impl History {
             limited: last.limited || now.limited,
         })
     }
-}
-
-fn push_within<T>(queue: &mut VecDeque<T>, item: T, most: usize) {
-    if queue.len() == most {
-        queue.pop_front();
-    }
-    queue.push_back(item);
 }

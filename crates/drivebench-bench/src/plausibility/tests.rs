@@ -16,25 +16,20 @@ use drivebench_model::sample::{Channel, Command, Demand, Sample};
 enum SignalFault {
     #[default]
     Nothing,
-    /// Speed and angle are frozen.
-    Frozen,
-    Reversed,
-    SpeedTimes(f64),
-    /// The current is frozen.
-    CurrentStays,
-    CurrentZero,
-    CurrentTimes(f64),
+    /// These signals are frozen.
+    Stays(&'static [Channel]),
+    Times(Channel, f64),
+    Swapped(Channel, Channel),
     /// The drive keeps its last set-point.
     Ignores {
         reports_voltage: bool,
     },
     SetPointTimes(f64),
-    VoltageTimes(f64),
-    SwappedCurrentSpeed,
-    SwappedVoltageCurrent,
-    /// The angle is frozen, the speed is not.
-    AngleStays,
 }
+
+const FROZEN: SignalFault = SignalFault::Stays(&[Channel::Speed, Channel::Angle]);
+const REVERSED: SignalFault = SignalFault::Times(Channel::Speed, -1.0);
+const CURRENT_ZERO: SignalFault = SignalFault::Times(Channel::Current, 0.0);
 
 /// A drive and its fault.
 #[derive(Clone, Copy, Default)]
@@ -71,44 +66,30 @@ impl Broken {
                 sample.set(channel, raw(kept, channel));
             }
         }
-        let read = [Channel::Voltage, Channel::Current, Channel::Speed];
-        let [volts, amps, speed] = read.map(|channel| raw(&sample, channel));
         if self.clock.time_s() >= self.traits.from_s {
             let still = self.kept.get_or_insert_with(|| sample.clone()).clone();
             match self.traits.fault {
                 SignalFault::Nothing
                 | SignalFault::Ignores { reports_voltage: true }
                 | SignalFault::SetPointTimes(_) => {}
-                SignalFault::Frozen => {
-                    for channel in [Channel::Speed, Channel::Angle] {
-                        sample.set(channel, raw(&still, channel));
+                SignalFault::Stays(channels) => {
+                    for channel in channels {
+                        sample.set(*channel, raw(&still, *channel));
                     }
                 }
-                SignalFault::AngleStays => sample.set(Channel::Angle, raw(&still, Channel::Angle)),
-                SignalFault::Reversed => {
-                    sample.set(Channel::Speed, -speed);
-                    sample.set(Channel::Angle, f64::NAN);
+                SignalFault::Times(channel, factor) => {
+                    sample.set(channel, factor * raw(&sample, channel));
+                    if channel == Channel::Speed {
+                        sample.set(Channel::Angle, f64::NAN);
+                    }
                 }
-                SignalFault::SpeedTimes(factor) => {
-                    sample.set(Channel::Speed, factor * speed);
-                    sample.set(Channel::Angle, f64::NAN);
+                SignalFault::Swapped(one, other) => {
+                    let values = [raw(&sample, one), raw(&sample, other)];
+                    sample.set(one, values[1]);
+                    sample.set(other, values[0]);
                 }
-                SignalFault::CurrentStays => {
-                    sample.set(Channel::Current, raw(&still, Channel::Current));
-                }
-                SignalFault::CurrentZero => sample.set(Channel::Current, 0.0),
-                SignalFault::CurrentTimes(factor) => sample.set(Channel::Current, factor * amps),
                 SignalFault::Ignores { reports_voltage: false } => {
                     sample.set(Channel::Voltage, f64::NAN);
-                }
-                SignalFault::VoltageTimes(factor) => sample.set(Channel::Voltage, factor * volts),
-                SignalFault::SwappedCurrentSpeed => {
-                    sample.set(Channel::Current, speed);
-                    sample.set(Channel::Speed, amps);
-                }
-                SignalFault::SwappedVoltageCurrent => {
-                    sample.set(Channel::Voltage, amps);
-                    sample.set(Channel::Current, volts);
                 }
             }
         }
@@ -242,6 +223,7 @@ const fn is_fault_detection(kind: TripKind) -> bool {
 /// The embedded motor begins to turn at 0.53 s, runs at 95 V until 1.6 s and is back at rest at 2.3 s.
 #[test]
 fn a_broken_signal_ends_a_run_in_time_with_its_name() {
+    use SignalFault::{Ignores, SetPointTimes, Stays, Swapped, Times};
     use TripKind::{
         AngleImplausible, CurrentImplausible, CurrentReversed, CurrentStuck, EncoderFrozen,
         EncoderReversed, OverCurrent, OverSpeed, SetPointIgnored, SignalsSwapped, SpeedImplausible,
@@ -255,29 +237,29 @@ fn a_broken_signal_ends_a_run_in_time_with_its_name() {
     const IGNORES: &[(f64, f64)] = &[START, (1.2, 1.85), (2.0, 2.5)];
     type Case = (SignalFault, &'static [(f64, f64)], &'static [TripKind]);
     let cases: [Case; 16] = [
-        (SignalFault::Frozen, &[REST, FAST, BACK], &[EncoderFrozen]),
-        (SignalFault::Reversed, &[REST, FAST, BACK], &[EncoderReversed]),
+        (FROZEN, &[REST, FAST, BACK], &[EncoderFrozen]),
+        (REVERSED, &[REST, FAST, BACK], &[EncoderReversed]),
         // From rest a third or three times the speed is observable from some 60 rad/s on, after 0.8 s.
-        (SignalFault::SpeedTimes(0.3), &[START, FAST], &[SpeedImplausible, OverSpeed]),
-        (SignalFault::SpeedTimes(3.0), &[START, FAST], &[SpeedImplausible, OverSpeed]),
-        (SignalFault::CurrentZero, &[REST, FAST, BACK], &[CurrentStuck]),
-        (SignalFault::CurrentStays, &[REST, FAST, BACK], &[CurrentStuck]),
+        (Times(Channel::Speed, 0.3), &[START, FAST], &[SpeedImplausible, OverSpeed]),
+        (Times(Channel::Speed, 3.0), &[START, FAST], &[SpeedImplausible, OverSpeed]),
+        (CURRENT_ZERO, &[REST, FAST, BACK], &[CurrentStuck]),
+        (Stays(&[Channel::Current]), &[REST, FAST, BACK], &[CurrentStuck]),
         // At a steady 1.3 A it is not observable, and hardly while braking; at the latest at the next acceleration.
-        (SignalFault::CurrentTimes(-1.0), &[REST, (1.2, 3.6), BACK], &[CurrentReversed]),
+        (Times(Channel::Current, -1.0), &[REST, (1.2, 3.6), BACK], &[CurrentReversed]),
         // Three times as much exceeds the current limit first; a third of it is observable only over many rows.
         (
-            SignalFault::CurrentTimes(3.0),
+            Times(Channel::Current, 3.0),
             &[REST, BACK],
             &[CurrentImplausible, OverCurrent, SignalsSwapped],
         ),
-        (SignalFault::CurrentTimes(0.3), &[(0.0, 4.0)], &[CurrentImplausible]),
-        (SignalFault::Ignores { reports_voltage: true }, IGNORES, &[SetPointIgnored]),
-        (SignalFault::Ignores { reports_voltage: false }, IGNORES, &[SetPointIgnored]),
-        (SignalFault::SetPointTimes(0.3), &[START], &[SetPointIgnored]),
-        (SignalFault::VoltageTimes(0.3), &[START], &[VoltageImplausible]),
-        (SignalFault::SwappedCurrentSpeed, &[REST], &[SignalsSwapped]),
-        (SignalFault::SwappedVoltageCurrent, &[REST, FAST], &[SignalsSwapped]),
-        (SignalFault::AngleStays, &[START, (1.2, 1.45)], &[AngleImplausible]),
+        (Times(Channel::Current, 0.3), &[(0.0, 4.0)], &[CurrentImplausible]),
+        (Ignores { reports_voltage: true }, IGNORES, &[SetPointIgnored]),
+        (Ignores { reports_voltage: false }, IGNORES, &[SetPointIgnored]),
+        (SetPointTimes(0.3), &[START], &[SetPointIgnored]),
+        (Times(Channel::Voltage, 0.3), &[START], &[VoltageImplausible]),
+        (Swapped(Channel::Current, Channel::Speed), &[REST], &[SignalsSwapped]),
+        (Swapped(Channel::Voltage, Channel::Current), &[REST, FAST], &[SignalsSwapped]),
+        (Stays(&[Channel::Angle]), &[START, (1.2, 1.45)], &[AngleImplausible]),
     ];
     for (fault, times, kinds) in cases {
         for &(from_s, latest_s) in times {
@@ -298,11 +280,11 @@ fn a_broken_signal_ends_a_run_in_time_with_its_name() {
 #[test]
 fn a_waiver_covers_a_scale_and_no_broken_signal() {
     for (fault, expected) in [
-        (SignalFault::SpeedTimes(0.3), None),
-        (SignalFault::CurrentTimes(0.3), None),
-        (SignalFault::Frozen, Some(TripKind::EncoderFrozen)),
-        (SignalFault::Reversed, Some(TripKind::EncoderReversed)),
-        (SignalFault::CurrentZero, Some(TripKind::CurrentStuck)),
+        (SignalFault::Times(Channel::Speed, 0.3), None),
+        (SignalFault::Times(Channel::Current, 0.3), None),
+        (FROZEN, Some(TripKind::EncoderFrozen)),
+        (REVERSED, Some(TripKind::EncoderReversed)),
+        (CURRENT_ZERO, Some(TripKind::CurrentStuck)),
         (SignalFault::Ignores { reports_voltage: true }, Some(TripKind::SetPointIgnored)),
     ] {
         let mut trial = Trial::new(fault, 0.0, 1);
@@ -385,9 +367,9 @@ fn a_slow_coarse_and_stale_drive_causes_no_false_alarm() {
 #[test]
 fn a_slow_drives_encoder_fault_is_found_in_five_cycles() {
     for (fault, kind) in [
-        (SignalFault::Frozen, TripKind::EncoderFrozen),
-        (SignalFault::Reversed, TripKind::EncoderReversed),
-        (SignalFault::SpeedTimes(0.3), TripKind::SpeedImplausible),
+        (FROZEN, TripKind::EncoderFrozen),
+        (REVERSED, TripKind::EncoderReversed),
+        (SignalFault::Times(Channel::Speed, 0.3), TripKind::SpeedImplausible),
     ] {
         for rate_hz in [8.0, 20.0, 50.0] {
             let mut trial = Trial::slow(fault, 3.5, 1, rate_hz);

@@ -20,26 +20,12 @@ use drivebench_model::text::number::with_digits;
 
 /// Steps whose median is the usual one.
 const STEPS: usize = 16;
+/// Steps up to so many usual ones are usual too: rows may be lost.
+const USUAL: f64 = 8.0;
+/// Falls of the time after which rows are no longer searched for repeats.
+const SEARCHES: usize = 1000;
 /// Rows whose stamps are kept.
 const ROWS: usize = 1 << 14;
-
-struct Settings {
-    /// Steps up to so many usual ones are usual too: rows may be lost.
-    usual: f64,
-    /// A step of more usual ones may be a wild stamp.
-    ahead: f64,
-    /// Rows that may stand out of order one behind the other.
-    few: usize,
-    /// Times that a clock may be set back in one file.
-    set_backs: usize,
-    /// Share of rows that may stand out of order.
-    out_of_order: f64,
-    /// Falls of the time after which rows are no longer searched for repeats.
-    searches: usize,
-}
-
-const SETTINGS: Settings =
-    Settings { usual: 8.0, ahead: 64.0, few: 8, set_backs: 3, out_of_order: 0.1, searches: 1000 };
 
 /// A counter that begins again.
 #[derive(Clone, Debug, PartialEq)]
@@ -195,7 +181,7 @@ impl<T> TimeAxis<T> {
         }
         self.leave_out_held();
         // Then the column is no time.
-        let most = SETTINGS.out_of_order * self.kept as f64;
+        let most = 0.1 * self.kept as f64;
         match self.first_fall.take() {
             Some(fall) if self.backwards as f64 > most => Err(fall),
             _ => Ok(()),
@@ -240,9 +226,9 @@ impl<T> TimeAxis<T> {
         sentences
     }
 
-    /// Whether a step needs no thought.
+    /// Whether a step needs no thought: one of more than 64 usual ones may be a wild stamp.
     fn is_next(&self, step_s: f64) -> bool {
-        step_s > 0.0 && (self.kept <= STEPS || step_s <= SETTINGS.ahead * self.mean_s)
+        step_s > 0.0 && (self.kept <= STEPS || step_s <= 64.0 * self.mean_s)
     }
 
     fn remember(&mut self, stamp: Stamp) {
@@ -311,7 +297,8 @@ impl<T> TimeAxis<T> {
                 return self.place(stamp, row, counters);
             }
             self.held.push_back((stamp, row));
-            return if self.held.len() < SETTINGS.few { Ok(()) } else { self.set_back(last) };
+            // A few rows may stand out of order one behind the other.
+            return if self.held.len() < 8 { Ok(()) } else { self.set_back(last) };
         }
         let step_s = time_s - last.time_s;
         if step_s > 0.0 {
@@ -341,7 +328,7 @@ impl<T> TimeAxis<T> {
 
     /// A counter began again: near its end before, near its beginning now.
     fn roll_over(&mut self, last: Stamp, stamp: Stamp, counters: Vec<Counter>) -> bool {
-        let near_s = SETTINGS.usual * self.usual_step();
+        let near_s = USUAL * self.usual_step();
         // As in the file.
         let before_s = last.time_s - self.shift_s;
         let is_it = |counter: &Counter| {
@@ -366,7 +353,7 @@ impl<T> TimeAxis<T> {
 
     /// The place in the past of two rows that are repeated one behind the other.
     fn repeated(&self, before: Stamp, stamp: Stamp) -> Option<usize> {
-        if self.falls > SETTINGS.searches {
+        if self.falls > SEARCHES {
             return None;
         }
         // The held rows and this one stand in the past themselves.
@@ -381,7 +368,7 @@ impl<T> TimeAxis<T> {
     /// The held rows are left out; those that stand in the file already as repeats.
     fn leave_out_held(&mut self) {
         while let Some((stamp, _)) = self.held.pop_front() {
-            let is_searched = self.falls <= SETTINGS.searches && !self.is_ahead;
+            let is_searched = self.falls <= SEARCHES && !self.is_ahead;
             // It stands in the past itself.
             let same = |entry: &&(f64, u64)| entry.1 == stamp.checksum;
             if is_searched && self.past.iter().filter(same).count() > 1 {
@@ -416,9 +403,8 @@ impl<T> TimeAxis<T> {
         let first = self.held[0].0;
         let stamps = self.held.iter().map(|(stamp, _)| stamp.time_s);
         let mut steps = stamps.clone().zip(stamps.skip(1)).map(|(before, next)| next - before);
-        let goes_on =
-            usual_s > 0.0 && steps.all(|step| (0.0..=SETTINGS.usual * usual_s).contains(&step));
-        if !goes_on || self.set_backs.len() >= SETTINGS.set_backs {
+        let goes_on = usual_s > 0.0 && steps.all(|step| (0.0..=USUAL * usual_s).contains(&step));
+        if !goes_on || self.set_backs.len() >= 3 {
             return Err(self.fall(first, last));
         }
         self.set_backs.push((last.time_s - (first.time_s + self.shift_s), first.line));

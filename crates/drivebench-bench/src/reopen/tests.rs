@@ -65,25 +65,22 @@ impl Case {
             watchdog_s: Some(0.3),
             ..Identity::default()
         };
-        let options = ReopenOptions {
-            link: "/dev/serial/by-id/x",
-            before: &before,
-            end: RunEnd { drive_minus_host_s: -5.0, last_reply_s: 19.9 },
-            seq: 900,
-            limit_s: self.limit_s,
-            seed: 1,
-        };
         let requests = Arc::<Mutex<Vec<String>>>::default();
         let mut tries = 0;
         let (reopened, link) = reopen(
-            ReopenBench {
+            LostDrive {
                 clock: &mut clock,
                 recorder: &mut recorder,
                 stopped: &|| self.stopped,
                 intents: &intents,
                 snapshots: &snapshots,
+                link: "/dev/serial/by-id/x",
+                before: &before,
+                end: RunEnd { drive_minus_host_s: -5.0, last_reply_s: 19.9 },
+                seq: 900,
+                limit_s: self.limit_s,
+                seed: 1,
             },
-            &options,
             &mut || {
                 tries += 1;
                 if tries < self.there_at {

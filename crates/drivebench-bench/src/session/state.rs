@@ -6,28 +6,6 @@ use crate::mechanics::Brake;
 use drivebench_link::CommandTimes;
 use drivebench_model::sample::{DriveState, Sample};
 
-pub(super) struct Times {
-    /// Longest wait for the first valid reply, s.
-    pub(super) first_reply_s: f64,
-    /// Time for the shaft to come to rest under braking after the output has reached zero, s.
-    pub(super) come_to_rest_s: f64,
-    /// Longest wait for any reply of a drive that has to stop, s.
-    pub(super) stop_silence_s: f64,
-    /// A drive that has to stop and gives no sample gets a stop in every cycle for the time of its watchdog, or for this where
-    /// no watchdog is known, s; then once in `stop_pause` of that time. Each request may reset its watchdog: the pauses are
-    /// longer.
-    stop_repeat_s: f64,
-    stop_pause: f64,
-}
-
-pub(super) const TIMES: Times = Times {
-    first_reply_s: 3.0,
-    come_to_rest_s: 2.0,
-    stop_silence_s: 1.0,
-    stop_repeat_s: 1.0,
-    stop_pause: 1.5,
-};
-
 pub(super) enum State {
     /// Since the first cycle, s.
     Connecting(Option<f64>),
@@ -135,9 +113,11 @@ impl Drive {
 
     /// Whether the stop that began at `since_s` is repeated in this cycle: always while samples arrive, which confirm it.
     pub(super) fn repeats_stop(&self, now_s: f64, since_s: f64, requested_s: Option<f64>) -> bool {
-        let repeat_s = self.watchdog_s().unwrap_or(TIMES.stop_repeat_s);
+        // Without a sample, in every cycle for the time of the watchdog, then once in 1.5 of that time: each request may reset the
+        // watchdog, so that the pauses are longer.
+        let repeat_s = self.watchdog_s().unwrap_or(1.0);
         now_s - since_s.max(self.sampled_s) <= repeat_s
-            || requested_s.is_none_or(|last_s| now_s - last_s >= TIMES.stop_pause * repeat_s)
+            || requested_s.is_none_or(|last_s| now_s - last_s >= 1.5 * repeat_s)
     }
 }
 

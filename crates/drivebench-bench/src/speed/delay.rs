@@ -9,12 +9,10 @@ use std::collections::VecDeque;
 use serde::Serialize;
 
 use crate::clock::Clock;
+use crate::push_within;
 use crate::timing::quantile;
 use drivebench_link::{DriveLink, LinkError};
 use drivebench_model::sample::{Command, Demand, Sample};
-
-/// Commands without an answer that are kept.
-const WAITING_MAX: usize = 64;
 
 /// Cycles are those of the requested rate.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -38,10 +36,7 @@ pub(super) struct DelayMeter {
 impl DelayMeter {
     /// The command with this number is computed from a sample of this time.
     pub(super) fn sent(&mut self, seq: u64, sample_time_s: f64) {
-        if self.waiting.len() == WAITING_MAX {
-            self.waiting.pop_front();
-        }
-        self.waiting.push_back((seq, sample_time_s));
+        push_within(&mut self.waiting, (seq, sample_time_s), 64);
     }
 
     pub(super) fn sample(&mut self, sample: &Sample) {
@@ -148,6 +143,6 @@ mod tests {
             silent.sample(&Sample::at(0.0));
         }
         assert_eq!(silent.delay(0.01), None);
-        assert_eq!(silent.waiting.len(), WAITING_MAX);
+        assert_eq!(silent.waiting.len(), 64);
     }
 }

@@ -273,19 +273,11 @@ impl Pilot for SpeedPilot {
         let speed_rad_s = read(Channel::Speed).unwrap_or(0.0);
         let now = Measured { current_a: read(Channel::Current), ..Measured::at(speed_rad_s) };
         let output = self.regulator.holding.output(speed_rad_s) + self.settings.hold;
-        self.pass = 0;
         self.controller().reset(&now, output);
-        self.encoder_proven = false;
-        self.watch = watch_of(&self.regulator, self.pass);
         self.fresh = sample.cloned();
-        self.sampled_s = 0.0;
-        self.stepped = None;
         self.speed_at_s = now_s;
         (self.output, self.wanted) = (output, output);
-        self.is_output_due = false;
         self.reference_rad_s = Some(speed_rad_s);
-        self.record.clear();
-        self.adaptation.clear();
     }
 
     fn demand(&mut self, now_s: f64, elapsed_s: f64) -> Result<Demand, Trip> {

@@ -15,35 +15,6 @@ use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey, TorqueMap};
 
-struct Settings {
-    /// Least gain margin of gains given by hand.
-    gain_margin: f64,
-    /// Factors either way within which a model is of the nameplate's motor. A winding that is 100 K warmer has 1.39 times its
-    /// resistance; the flux of a specimen differs by some 15 %.
-    resistance_factor: f64,
-    back_emf_factor: f64,
-    /// Lag of a drive's current loop without `speed.drive_lag_s`, s: that of drives of some kilowatts.
-    current_lag_s: f64,
-    /// Cycles of the simulation, and its step as a share of the peak reference.
-    simulated_cycles: usize,
-    simulated_step: f64,
-    /// Peak to peak at its end, as a share of the step, up to which a loop is stable; behind a coupling, which is excited by
-    /// the step and damped by little, the loop's own part is less.
-    oscillation: f64,
-    coupled_oscillation: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    gain_margin: 1.6,
-    resistance_factor: 1.6,
-    back_emf_factor: 1.3,
-    current_lag_s: 0.002,
-    simulated_cycles: 600,
-    simulated_step: 0.2,
-    oscillation: 0.25,
-    coupled_oscillation: 0.05,
-};
-
 pub struct Regulator {
     pub actuator: Actuator,
     /// One for each pass over the reference, and whether it has feed-forward.
@@ -173,10 +144,10 @@ pub fn check_motor(model: &Model, motor: &Nameplate) -> Result<(), RegulatorErro
         return Err(RegulatorError::OtherName { model: name.clone(), bench: motor.name.clone() });
     }
     let (resistance, back_emf) = (motor.resistance_ohm, motor.back_emf_v_s_per_rad);
-    for (key, nameplate, factor) in [
-        (MotorKey::Resistance, resistance, SETTINGS.resistance_factor),
-        (MotorKey::BackEmf, back_emf, SETTINGS.back_emf_factor),
-    ] {
+    // A winding that is 100 K warmer has 1.39 times its resistance; the flux of a specimen differs by some 15 %.
+    for (key, nameplate, factor) in
+        [(MotorKey::Resistance, resistance, 1.6), (MotorKey::BackEmf, back_emf, 1.3)]
+    {
         let (low, high) = (nameplate / factor, nameplate * factor);
         // Missing or unphysical values are refused with the plant.
         let value = model.motor.get(key).filter(|value| *value > 0.0);
@@ -255,7 +226,8 @@ impl Design<'_> {
         let (drive_lag_s, reason) = match self.actuator {
             Actuator::Voltage => (0.0, None),
             Actuator::Current => {
-                let drive_lag_s = lag_s.unwrap_or(SETTINGS.current_lag_s);
+                // By default that of drives of some kilowatts.
+                let drive_lag_s = lag_s.unwrap_or(0.002);
                 let reason = format!(
                     "the drive's current loop is taken for a lag of {:.1} ms ({})",
                     1e3 * drive_lag_s,
@@ -424,10 +396,11 @@ impl Design<'_> {
             notch: None,
         };
         let margins = LoopShape::new(plant, &self.timing, &gains).margins();
-        if margins.gain_margin < SETTINGS.gain_margin {
+        let least = 1.6;
+        if margins.gain_margin < least {
             return Err(RegulatorError::Gain {
                 value: gains.proportional,
-                most: gains.proportional * margins.gain_margin / SETTINGS.gain_margin,
+                most: gains.proportional * margins.gain_margin / least,
                 cycles: self.timing.delay_cycles(),
                 coupling_hz: plant.coupling().map(|coupling| coupling.frequency_hz),
             });
@@ -487,8 +460,7 @@ impl Design<'_> {
             current_noise_a: 0.0,
         };
         let high = self.peak_reference_rad_s.max(1.0);
-        let step = SETTINGS.simulated_step * high;
-        let cycles = SETTINGS.simulated_cycles;
+        let (step, cycles) = (0.2 * high, 600);
         let half_s = 0.5 * cycles as f64 * self.timing.period_s;
         let inputs = TrialInputs {
             reference_rad_s: &|t| if t < half_s { high } else { high - step },
@@ -505,11 +477,8 @@ impl Design<'_> {
                 high - low
             }
         };
-        let share = if plant.coupling().is_some() {
-            SETTINGS.coupled_oscillation
-        } else {
-            SETTINGS.oscillation
-        };
+        // The step excites a coupling, which is damped by little: behind one the loop's own part is less.
+        let share = if plant.coupling().is_some() { 0.05 } else { 0.25 };
         let most = share * step;
         // False for NaN.
         if oscillation_rad_s <= most {
