@@ -26,7 +26,7 @@ pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     }
 }
 
-/// The bench with the recipe as its sequence, as the text of a file whose head has its purpose. The slew limit is the
+/// The bench with the recipe as its sequence, as the text of a file whose head has its purpose. The slew limit is the recipe's.
 pub fn next_bench(bench: &BenchFile, recipe: &Recipe, model: &Model, sentence: &str) -> String {
     let mut next = bench.clone();
     let own = bench.name.split(NEXT).next().unwrap_or(&bench.name);

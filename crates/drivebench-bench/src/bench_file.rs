@@ -1,5 +1,7 @@
 //! The bench file: drive, link, motor, limits and the sequence of excitations.
 
+use std::fmt::Display;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -23,8 +25,8 @@ pub const EMBEDDED_NAME: &str = "zk-22fc-emulated.toml (embedded)";
 pub enum BenchFileError {
     #[error(transparent)]
     Text(#[from] ConfigError),
-    #[error("{file}: {key} = {value} is not allowed (expected {allowed})")]
-    Value { file: String, key: String, value: String, allowed: String },
+    #[error("{file}: {refused}")]
+    Value { file: String, refused: Refused },
     #[error("{file}: {error}")]
     Sequence {
         file: String,
@@ -43,6 +45,25 @@ impl BenchFileError {
             }
             Self::Sequence { error, .. } => error.help().to_owned(),
         }
+    }
+}
+
+/// A value that a section cannot have.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{key} = {value} is not allowed (expected {allowed})")]
+pub struct Refused {
+    pub key: String,
+    pub value: String,
+    pub allowed: String,
+}
+
+impl Refused {
+    pub(super) fn new(key: &str, value: impl Display, allowed: impl Into<String>) -> Self {
+        Self { key: key.to_owned(), value: value.to_string(), allowed: allowed.into() }
+    }
+
+    fn of(self, file: &str) -> BenchFileError {
+        BenchFileError::Value { file: file.to_owned(), refused: self }
     }
 }
 
@@ -317,78 +338,72 @@ impl BenchFile {
     }
 
     fn check(&self, file: &str) -> Result<(), BenchFileError> {
-        if let Some((key, value, allowed)) = self.refused() {
-            return Err(refusal(file, &key, value, allowed));
+        if let Some(refused) = self.refused() {
+            return Err(refused.of(file));
         }
         if let Some(currents) = &self.currents {
             if !self.sequence.is_empty() {
                 let allowed = "left out, or [[sequence]]: a run has one of them";
-                return Err(refusal(file, "currents", "given".to_owned(), allowed));
+                return Err(Refused::new("currents", "given", allowed).of(file));
             }
-            let bad = currents.refused(&self.limits());
-            return bad.map_or(Ok(()), |(key, value, allowed)| {
-                Err(refusal(file, key, value.to_string(), allowed))
-            });
+            return currents.refused(&self.limits()).map_or(Ok(()), |it| Err(it.of(file)));
         }
         let error = |error| BenchFileError::Sequence { file: file.to_owned(), error };
         self.program(self.runs.fit).map(drop).map_err(error)
     }
 
-    /// The first value that is not allowed: key, value and what is allowed.
-    fn refused(&self) -> Option<(String, String, &'static str)> {
+    /// The first value that is not allowed.
+    fn refused(&self) -> Option<Refused> {
         let (link, limits) = (&self.link, self.limits());
         let (load, supply) = (&self.load, &self.supply);
-        let not_allowed =
-            |key: &str, value: String, allowed| Some((key.to_owned(), value, allowed));
         if self.name.is_empty() || self.name.contains(['/', '\\']) {
             let allowed = "a name that can stand in a folder's name";
-            return not_allowed("name", format!("{:?}", self.name), allowed);
+            return Some(Refused::new("name", format!("{:?}", self.name), allowed));
         }
         if Port::parse(&link.port).is_none() {
-            return not_allowed("link.port", format!("{:?}", link.port), PORTS);
+            return Some(Refused::new("link.port", format!("{:?}", link.port), PORTS));
         }
         if !(1.0..=2000.0).contains(&link.rate_hz) {
-            return not_allowed("link.rate_hz", link.rate_hz.to_string(), "1 to 2000");
+            return Some(Refused::new("link.rate_hz", link.rate_hz, "1 to 2000"));
         }
         let bad_ms = link.deadline_ms.filter(|ms| !(0.5..=10_000.0).contains(ms));
         if let Some(ms) = bad_ms {
-            return not_allowed("link.deadline_ms", ms.to_string(), "0.5 to 10000");
+            return Some(Refused::new("link.deadline_ms", ms, "0.5 to 10000"));
         }
         if let Some((key, value)) = self.motor.refused() {
-            return not_allowed(&format!("motor.{key}"), value.to_string(), POSITIVE);
+            return Some(Refused::new(&format!("motor.{key}"), value, POSITIVE));
         }
         for (key, _, value) in self.limits.clone().rows() {
             if let Some(value) = value.filter(|value| !(value.is_finite() && *value > 0.0)) {
                 let key = format!("limits.{key}");
-                return not_allowed(&key, value.to_string(), "a positive number");
+                return Some(Refused::new(&key, value, "a positive number"));
             }
         }
         let mechanics = load.refused(limits.current_a).or_else(|| supply.refused());
-        if let Some((key, value, allowed)) = mechanics {
-            return not_allowed(key, value, allowed);
+        if mechanics.is_some() {
+            return mechanics;
         }
         if load.vertical && self.motor.is_unknown() {
             let allowed =
                 "a known motor: the small steps that find an unknown one would let the load fall";
-            return not_allowed("load.vertical", "true".to_owned(), allowed);
+            return Some(Refused::new("load.vertical", "true", allowed));
         }
         if self.currents.is_some() && load.vertical {
             let allowed = "false with [currents]: a load that pulls is not held meanwhile";
-            return not_allowed("load.vertical", "true".to_owned(), allowed);
+            return Some(Refused::new("load.vertical", "true", allowed));
         }
         let parts = 1..=self.sequence.len();
         if let Some(part) = self.runs.burst_at.filter(|part| !parts.contains(part)) {
             let allowed = "the number of a part of the sequence, from 1";
-            return not_allowed("runs.burst_at", part.to_string(), allowed);
+            return Some(Refused::new("runs.burst_at", part, allowed));
         }
         // The wait for one reply must not count as silence.
         if limits.link_silence_s < self.period_s() + self.deadline_s() {
-            let silence = limits.link_silence_s.to_string();
             let allowed = "at least one period of link.rate_hz and link.deadline_ms together";
-            return not_allowed("limits.link_silence_s", silence, allowed);
+            return Some(Refused::new("limits.link_silence_s", limits.link_silence_s, allowed));
         }
         let (low, _) = limits.bus_min_v.zip(limits.bus_max_v).filter(|(low, high)| low >= high)?;
-        not_allowed("limits.bus_min_v", low.to_string(), "less than limits.bus_max_v")
+        Some(Refused::new("limits.bus_min_v", low, "less than limits.bus_max_v"))
     }
 
     /// A limit of this bench beyond what the profile of its drive allows: key, value and the most that is allowed.
@@ -415,16 +430,14 @@ impl BenchFile {
             return Ok(());
         };
         let limits = self.limits();
-        let refuse =
-            |key, value: f64, allowed: String| Err(refusal(file, key, value.to_string(), allowed));
-        if let Some((key, value, allowed)) = speed.refused(&limits) {
-            return refuse(key, value, allowed);
+        if let Some(refused) = speed.refused(&limits) {
+            return Err(refused.of(file));
         }
         let reference = self.reference(speed).map_err(|error| at_its_line(file, text, &error))?;
         let needed_s = reference.duration_s() + SPEED_ENDS_S;
         if needed_s > limits.time_s {
             let allowed = format!("at least {needed_s} s, which the reference takes with its ends");
-            return refuse("limits.time_s", limits.time_s, allowed);
+            return Err(Refused::new("limits.time_s", limits.time_s, allowed).of(file));
         }
         Ok(())
     }
@@ -502,15 +515,6 @@ fn at_its_line(file: &str, text: &str, error: &ReferenceError) -> BenchFileError
 }
 
 const PORTS: &str = "emulator, sim:, sim:rtu, tcp:HOST:PORT or the path of a serial port";
-
-fn refusal(file: &str, key: &str, value: String, allowed: impl Into<String>) -> BenchFileError {
-    BenchFileError::Value {
-        file: file.to_owned(),
-        key: key.to_owned(),
-        value,
-        allowed: allowed.into(),
-    }
-}
 
 #[cfg(test)]
 mod tests;

@@ -10,6 +10,7 @@ use rand::seq::SliceRandom;
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
 
+use super::bench_file::Refused;
 use super::limits::{Limits, MotorSection, Nameplate, short};
 use super::pilot::Pilot;
 use super::trip::{Trip, TripKind};
@@ -118,8 +119,8 @@ impl CurrentsSection {
         self.seconds + BRAKE_SHARE * self.longest_s + 2.0 * self.rest_s
     }
 
-    /// The first value that is not allowed: key, value and what is allowed.
-    pub(super) fn refused(&self, limits: &Limits) -> Option<(&'static str, f64, String)> {
+    /// The first value that is not allowed.
+    pub(super) fn refused(&self, limits: &Limits) -> Option<Refused> {
         let turn_rad_s = MOST_OF_LIMIT * limits.speed_rad_s;
         let rows: [(_, &[f64], f64, _); 6] = [
             ("currents.levels_a", &self.levels_a, limits.current_a, "A, the current limit"),
@@ -135,7 +136,7 @@ impl CurrentsSection {
                 |value: &f64| (0.0..=most).contains(value) && (may_be_zero || *value > 0.0);
             let none = values.is_empty().then_some(f64::NAN);
             let bad = none.or_else(|| values.iter().copied().find(|value| !is_allowed(value)))?;
-            Some((key, bad, format!("above 0 and at most {most} {what}")))
+            Some(Refused::new(key, bad, format!("above 0 and at most {most} {what}")))
         })
     }
 }
@@ -347,7 +348,7 @@ mod tests {
     fn values_beyond_the_limits_are_refused() {
         let limits = Limits::zk_22fc();
         assert_eq!(section().refused(&limits), None);
-        let refused = |section: CurrentsSection| section.refused(&limits).unwrap().0;
+        let refused = |section: CurrentsSection| section.refused(&limits).unwrap().key;
         assert_eq!(refused(CurrentsSection { levels_a: vec![], ..section() }), "currents.levels_a");
         let fast = vec![10.0, 0.9 * limits.speed_rad_s];
         assert_eq!(

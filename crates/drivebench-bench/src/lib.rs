@@ -43,7 +43,7 @@ mod trip;
 
 pub use bench_file::{
     BenchFile, BenchFileError, DriveSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EmulatorSection,
-    LimitsSection, LinkSection, Port, Protocol, RunsSection,
+    LimitsSection, LinkSection, Port, Protocol, Refused, RunsSection,
 };
 pub use burst::burst_part;
 pub use check::{

@@ -2,12 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::bench_file::Refused;
 use drivebench_link::DriveLimits;
 use drivebench_link::register_map::Converter;
 use drivebench_link::{DriveProfile, LostReply};
-
-/// A value that a section cannot have: key, value, what is allowed.
-pub(super) type Refused = (&'static str, String, &'static str);
 
 /// `[load]`; left out: nothing turns the shaft when the motor does not.
 #[derive(Clone, Copy, Debug, Default, Deserialize, Serialize, PartialEq)]
@@ -78,7 +76,7 @@ impl LoadSection {
                 _ => ((0.0..=10.0).contains(&value), "0 to 10 s"),
             };
             if !is_allowed {
-                return Some((key, value.to_string(), allowed));
+                return Some(Refused::new(key, value, allowed));
             }
         }
         None
@@ -115,9 +113,10 @@ impl SupplySection {
         let watts = self.brake_power_w?;
         let key = "supply.brake_power_w";
         if self.regenerates {
-            return Some((key, watts.to_string(), "nothing without supply.regenerates = false"));
+            let allowed = "nothing without supply.regenerates = false";
+            return Some(Refused::new(key, watts, allowed));
         }
-        (!(watts.is_finite() && watts >= 0.0)).then_some((key, watts.to_string(), "0 or more"))
+        (!(watts.is_finite() && watts >= 0.0)).then(|| Refused::new(key, watts, "0 or more"))
     }
 }
 

@@ -8,6 +8,7 @@ use super::Case;
 use crate::report::wording::json;
 use drivebench_bench::recording::Machine;
 use drivebench_identify::drift::Drift;
+use drivebench_model::numerics::statistics::{extent, mean, variance};
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "verdict", content = "reason", rename_all = "snake_case")]
@@ -250,16 +251,15 @@ fn spread(cases: &[CaseOutcome]) -> Vec<Spread> {
     }
     let summed = |(case, key, values): (&str, &str, Vec<f64>)| {
         let count = values.len();
-        let mean = values.iter().sum::<f64>() / count as f64;
-        let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+        let (least, most) = extent(&values);
         Spread {
             case: case.to_owned(),
             key: key.to_owned(),
             count,
-            mean,
-            std: (count > 1).then(|| (squares / (count - 1) as f64).sqrt()),
-            least: values.iter().copied().fold(f64::INFINITY, f64::min),
-            most: values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
+            mean: mean(&values),
+            std: (count > 1).then(|| variance(&values).sqrt()),
+            least,
+            most,
         }
     };
     figures.into_iter().map(summed).collect()

@@ -5,6 +5,7 @@
 use super::witness::drive::{BENCH, Drive};
 use super::witness::fault::{Act, Way};
 use super::witness::motor::Hidden;
+use super::witness::trials;
 use super::{BenchFile, trial_of};
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, Evidence, diagnose};
 use drivebench_model::plant::{Model, Scenario};
@@ -87,12 +88,8 @@ fn machine(seed: u64) -> Outcome {
 fn the_hidden_effect_is_named_over_a_poor_line() {
     let given = std::env::var("DRIVEBENCH_MACHINES").ok();
     let machines = given.map_or(8, |given| given.parse().unwrap()).min(MOST_MACHINES);
-    let outcomes: Vec<Outcome> = std::thread::scope(|scope| {
-        let half = |first: u64| (first..machines).step_by(2).map(machine).collect();
-        let halves: [_; 2] = [0, 1].map(|first| scope.spawn(move || half(first)));
-        let joined = |half: std::thread::ScopedJoinHandle<'_, Vec<Outcome>>| half.join().unwrap();
-        halves.into_iter().flat_map(joined).collect()
-    });
+    let seeds: Vec<u64> = (0..machines).collect();
+    let outcomes = trials::at_once(2, &seeds, |seed| machine(*seed));
     let wrong: Vec<&str> = outcomes.iter().filter_map(|o| o.wrong.as_deref()).collect();
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
     assert!(outcomes.iter().map(|o| o.repeated).sum::<u64>() <= MOST_REPEATED);

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::reference::{Reference, ReferenceError, ReferencePart};
+use crate::bench_file::Refused;
 use crate::limits::{Limits, Nameplate};
 use drivebench_control::tuning::Rule;
 use drivebench_control::{Actuator, Addc, LoadObserving, Mrac, PaperB, Pi};
@@ -107,9 +108,6 @@ pub struct SpeedSection {
     pub reference: Vec<ReferencePart>,
 }
 
-/// A value of the section that is not allowed: key, value and what is allowed.
-type Refused = (&'static str, f64, String);
-
 impl SpeedSection {
     /// The commanded quantity; `None` where the drive takes none of them, or not the one of the section.
     pub fn actuator(&self, capabilities: &Capabilities) -> Option<Actuator> {
@@ -149,7 +147,7 @@ impl SpeedSection {
     pub(crate) fn refused(&self, limits: &Limits) -> Option<Refused> {
         let positive = |key, value: Option<f64>| {
             let bad = value.filter(|value| !(value.is_finite() && *value > 0.0))?;
-            Some((key, bad, "a positive number".to_owned()))
+            Some(Refused::new(key, bad, "a positive number"))
         };
         let gains = self.gains.as_ref();
         let proportional = gains.map(|gains| gains.proportional_v_s_per_rad);
@@ -157,7 +155,7 @@ impl SpeedSection {
         let beyond = || {
             let amps = self.current_limit_a?;
             let allowed = format!("up to limits.current_a = {} A", limits.current_a);
-            (amps > limits.current_a).then_some(("speed.current_limit_a", amps, allowed))
+            (amps > limits.current_a).then(|| Refused::new("speed.current_limit_a", amps, allowed))
         };
         positive("speed.bandwidth_rad_s", self.bandwidth_rad_s)
             .or_else(|| positive("speed.slew_v_per_s", self.slew_v_per_s))
@@ -271,9 +269,8 @@ mod tests {
         assert_eq!(section.refused(&limits), None);
         near(section.current_limit_a(5.7, &limits), 8.55, 1e-12);
         section.current_limit_a = Some(30.0);
-        let (key, value, allowed) = section.refused(&limits).unwrap();
-        assert_eq!((key, value), ("speed.current_limit_a", 30.0));
-        has(allowed, "22.8");
+        has(section.refused(&limits).unwrap(), "speed.current_limit_a = 30 is not allowed");
+        has(section.refused(&limits).unwrap(), "22.8");
     }
 
     #[test]
