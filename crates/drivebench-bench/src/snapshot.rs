@@ -17,26 +17,21 @@ use drivebench_link::{Identity, LinkStatistics};
 use drivebench_model::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
 use drivebench_model::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
-/// Emulator or hardware: shown on every screen.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Target {
-    /// By the identity of the drive.
-    Sim,
-    #[default]
-    Hardware,
+named! {
+    /// Emulator or hardware: shown on every screen.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Target {
+        /// By the identity of the drive.
+        Sim = "SIM",
+        #[default]
+        Hardware = "HARDWARE",
+    }
 }
 
 impl Target {
     pub const fn of(identity: &Identity) -> Self {
         if identity.is_emulator { Self::Sim } else { Self::Hardware }
-    }
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Sim => "SIM",
-            Self::Hardware => "HARDWARE",
-        }
     }
 }
 

@@ -6,83 +6,68 @@ use serde::{Deserialize, Serialize};
 
 use drivebench_model::sample::DriveState;
 
-/// The kinds, each with its name in a sentence.
-macro_rules! kinds {
-    ($($(#[$doc:meta])* $kind:ident = $name:literal,)+) => {
-        /// The name in events and reports is the snake-case form.
-        #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-        #[serde(rename_all = "snake_case")]
-        pub enum TripKind {
-            $($(#[$doc])* $kind,)+
-        }
-
-        impl TripKind {
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$kind => $name,)+
-                }
-            }
-        }
-    };
-}
-
-kinds! {
-    OverCurrent = "over-current",
-    OverSpeed = "over-speed",
-    OverVoltage = "over-voltage",
-    Travel = "travel window left",
-    BusLow = "bus voltage too low",
-    BusHigh = "bus voltage too high",
-    TimeLimit = "time limit",
-    /// No valid reply for longer than the limit.
-    LinkSilence = "link silent",
-    /// No valid reply for longer than the limit, but exceptions of a drive or a gateway.
-    Refused = "requests refused",
-    /// The computer was suspended, as a laptop whose lid is closed: the motor ran unsupervised.
-    Suspended = "computer suspended",
-    /// The process was stopped: the motor ran unsupervised.
-    HostGap = "host stood still",
-    /// A limited quantity that the drive used to give is missing.
-    SignalMissing = "signal missing",
-    /// The drive's time, or the host's, does not advance.
-    ClockStuck = "clock stuck",
-    /// The drive's time jumps: it was switched off and on again.
-    Restarted = "drive restarted",
-    DriveFault = "drive fault",
-    /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
-    NotRunning = "drive does not run",
-    LocalControl = "local control",
-    OtherMaster = "another master",
-    /// Safe torque off, or another enable input, has switched the output off.
-    TorqueOff = "torque off",
-    /// The measured speed is constant while by voltage and current it changes.
-    EncoderFrozen = "encoder frozen",
-    /// The measured speed has the opposite sign of that by voltage and current.
-    EncoderReversed = "encoder reversed",
-    /// The measured speed is far from that by voltage and current.
-    SpeedImplausible = "speed implausible",
-    /// The shaft does not turn under a current that should turn it: it is held, or the encoder is frozen.
-    ShaftHeld = "shaft held",
-    /// The measured angle is not the integral of the measured speed.
-    AngleImplausible = "angle implausible",
-    /// The measured current is constant while by voltage and speed it changes.
-    CurrentStuck = "current stuck",
-    /// The measured current has the opposite sign of that by voltage and speed.
-    CurrentReversed = "current reversed",
-    /// The measured current is far from that by voltage and speed.
-    CurrentImplausible = "current implausible",
-    OpenCircuit = "open circuit",
-    SetPointIgnored = "set-point not followed",
-    /// The measured voltage is not that by current and speed.
-    VoltageImplausible = "voltage implausible",
-    SignalsSwapped = "signals swapped",
-    /// The field current is below the least: a motor without a field runs away.
-    FieldLost = "field lost",
-    /// The speed grows beyond its reference although the torque is against it.
-    Runaway = "runaway",
-    /// A speed loop oscillates, and its gains cannot fall.
-    LoopSwings = "loop swings",
-    LoopSaturated = "loop saturated",
+named! {
+    /// The name in events and reports is the snake-case form.
+    #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum TripKind {
+        OverCurrent = "over-current",
+        OverSpeed = "over-speed",
+        OverVoltage = "over-voltage",
+        Travel = "travel window left",
+        BusLow = "bus voltage too low",
+        BusHigh = "bus voltage too high",
+        TimeLimit = "time limit",
+        /// No valid reply for longer than the limit.
+        LinkSilence = "link silent",
+        /// No valid reply for longer than the limit, but exceptions of a drive or a gateway.
+        Refused = "requests refused",
+        /// The computer was suspended, as a laptop whose lid is closed: the motor ran unsupervised.
+        Suspended = "computer suspended",
+        /// The process was stopped: the motor ran unsupervised.
+        HostGap = "host stood still",
+        /// A limited quantity that the drive used to give is missing.
+        SignalMissing = "signal missing",
+        /// The drive's time, or the host's, does not advance.
+        ClockStuck = "clock stuck",
+        /// The drive's time jumps: it was switched off and on again.
+        Restarted = "drive restarted",
+        DriveFault = "drive fault",
+        /// The drive does not run although it is commanded to: its watchdog, its keypad or its enable input.
+        NotRunning = "drive does not run",
+        LocalControl = "local control",
+        OtherMaster = "another master",
+        /// Safe torque off, or another enable input, has switched the output off.
+        TorqueOff = "torque off",
+        /// The measured speed is constant while by voltage and current it changes.
+        EncoderFrozen = "encoder frozen",
+        /// The measured speed has the opposite sign of that by voltage and current.
+        EncoderReversed = "encoder reversed",
+        /// The measured speed is far from that by voltage and current.
+        SpeedImplausible = "speed implausible",
+        /// The shaft does not turn under a current that should turn it: it is held, or the encoder is frozen.
+        ShaftHeld = "shaft held",
+        /// The measured angle is not the integral of the measured speed.
+        AngleImplausible = "angle implausible",
+        /// The measured current is constant while by voltage and speed it changes.
+        CurrentStuck = "current stuck",
+        /// The measured current has the opposite sign of that by voltage and speed.
+        CurrentReversed = "current reversed",
+        /// The measured current is far from that by voltage and speed.
+        CurrentImplausible = "current implausible",
+        OpenCircuit = "open circuit",
+        SetPointIgnored = "set-point not followed",
+        /// The measured voltage is not that by current and speed.
+        VoltageImplausible = "voltage implausible",
+        SignalsSwapped = "signals swapped",
+        /// The field current is below the least: a motor without a field runs away.
+        FieldLost = "field lost",
+        /// The speed grows beyond its reference although the torque is against it.
+        Runaway = "runaway",
+        /// A speed loop oscillates, and its gains cannot fall.
+        LoopSwings = "loop swings",
+        LoopSaturated = "loop saturated",
+    }
 }
 
 impl TripKind {

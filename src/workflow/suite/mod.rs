@@ -163,36 +163,60 @@ impl SignalLimit {
     }
 }
 
-/// The verbs of steps and the commands that they are.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verb {
-    Probe,
-    Connect,
-    Plan,
-    Commission,
-    Excite,
-    Speed,
-    Identify,
-    Compare,
-    Diagnose,
-    Add,
+/// The verbs of steps: each with its key of a step in the file, and the command of the program.
+macro_rules! verbs {
+    ($($verb:ident $key:ident $command:literal,)+) => {
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Verb {
+            $($verb,)+
+        }
+
+        impl Verb {
+            /// Each with its word in a suite, and the command of the program.
+            pub const ALL: &[(Self, &'static str, &'static str)] =
+                &[$((Self::$verb, stringify!($key), $command),)+];
+        }
+
+        #[derive(Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct StepKeys {
+            #[serde(rename = "as")]
+            name: Option<String>,
+            timeout_s: Option<Spanned<f64>>,
+            status: Option<Statuses>,
+            $($key: Option<Spanned<toml::Table>>,)+
+            fault: Option<toml::Table>,
+            file: Option<ChangedFile>,
+            assert: Option<BTreeMap<Spanned<String>, Spanned<toml::Value>>>,
+            #[serde(default)]
+            signal: Vec<SignalLimit>,
+            of: Option<String>,
+        }
+
+        impl StepKeys {
+            fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
+                match verb {
+                    $(Verb::$verb => self.$key.take(),)+
+                }
+            }
+        }
+    };
+}
+
+verbs! {
+    Probe probe "probe",
+    Connect connect "run",
+    Plan plan "plan",
+    Commission commission "commission",
+    Excite excite "run",
+    Speed speed "speed",
+    Identify identify "identify",
+    Compare compare "compare",
+    Diagnose diagnose "diagnose",
+    Add add "add",
 }
 
 impl Verb {
-    /// Each with its word in a suite, and the command of the program.
-    pub const ALL: [(Self, &'static str, &'static str); 10] = [
-        (Self::Probe, "probe", "probe"),
-        (Self::Connect, "connect", "run"),
-        (Self::Plan, "plan", "plan"),
-        (Self::Commission, "commission", "commission"),
-        (Self::Excite, "excite", "run"),
-        (Self::Speed, "speed", "speed"),
-        (Self::Identify, "identify", "identify"),
-        (Self::Compare, "compare", "compare"),
-        (Self::Diagnose, "diagnose", "diagnose"),
-        (Self::Add, "add", "add"),
-    ];
-
     pub fn command(self) -> &'static str {
         Self::ALL.iter().find(|(verb, ..)| *verb == self).map_or("", |(.., command)| command)
     }
@@ -262,49 +286,6 @@ const fn one() -> u64 {
 
 fn one_repeat() -> Spanned<u64> {
     Spanned::new(0..0, 1)
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct StepKeys {
-    #[serde(rename = "as")]
-    name: Option<String>,
-    timeout_s: Option<Spanned<f64>>,
-    status: Option<Statuses>,
-    probe: Option<Spanned<toml::Table>>,
-    connect: Option<Spanned<toml::Table>>,
-    plan: Option<Spanned<toml::Table>>,
-    commission: Option<Spanned<toml::Table>>,
-    excite: Option<Spanned<toml::Table>>,
-    speed: Option<Spanned<toml::Table>>,
-    identify: Option<Spanned<toml::Table>>,
-    compare: Option<Spanned<toml::Table>>,
-    diagnose: Option<Spanned<toml::Table>>,
-    add: Option<Spanned<toml::Table>>,
-    fault: Option<toml::Table>,
-    file: Option<ChangedFile>,
-    assert: Option<BTreeMap<Spanned<String>, Spanned<toml::Value>>>,
-    #[serde(default)]
-    signal: Vec<SignalLimit>,
-    of: Option<String>,
-}
-
-impl StepKeys {
-    fn options(&mut self, verb: Verb) -> Option<Spanned<toml::Table>> {
-        let table = match verb {
-            Verb::Probe => &mut self.probe,
-            Verb::Connect => &mut self.connect,
-            Verb::Plan => &mut self.plan,
-            Verb::Commission => &mut self.commission,
-            Verb::Excite => &mut self.excite,
-            Verb::Speed => &mut self.speed,
-            Verb::Identify => &mut self.identify,
-            Verb::Compare => &mut self.compare,
-            Verb::Diagnose => &mut self.diagnose,
-            Verb::Add => &mut self.add,
-        };
-        table.take()
-    }
 }
 
 #[derive(Deserialize)]
@@ -451,7 +432,7 @@ fn read_step(
         Some(Statuses::Any(statuses)) => statuses,
     };
     let mut found: Vec<(&'static str, Action)> = Vec::new();
-    for (verb, word, _) in Verb::ALL {
+    for &(verb, word, _) in Verb::ALL {
         if let Some(table) = keys.options(verb) {
             let options = read_options(verb, word, table, before, options_of)?;
             found.push((word, Action::Command { verb, options, statuses: statuses.clone() }));
@@ -475,7 +456,7 @@ fn read_step(
         } else {
             format!("the step does several things: {}", names.join(", "))
         };
-        let verbs = Verb::ALL.map(|(_, word, _)| word).join(", ");
+        let verbs = Verb::ALL.iter().map(|(_, word, _)| *word).collect::<Vec<_>>().join(", ");
         (at, what, format!("allowed: one of {verbs}, fault, file, assert"))
     })?;
     if has_status && !matches!(action, Action::Command { .. }) {

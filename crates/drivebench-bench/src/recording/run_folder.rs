@@ -6,32 +6,20 @@ use std::path::{Path, PathBuf};
 
 use super::{Manifest, RecordingError};
 
-/// The files of a run folder that are written in one go.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum RunFile {
-    Manifest,
-    Model,
-    Result,
-    Report,
-    /// The recommended next run, as a bench file.
-    NextBench,
-    /// The samples by columns.
-    Parquet,
-    /// What a controller followed, and its gains, over time.
-    Adaptation,
-}
-
-impl RunFile {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Manifest => "manifest.json",
-            Self::Model => "model.toml",
-            Self::Result => "result.json",
-            Self::Report => "report.html",
-            Self::NextBench => "next-bench.toml",
-            Self::Parquet => "samples.parquet",
-            Self::Adaptation => "adaptation.csv",
-        }
+named! {
+    /// The files of a run folder that are written in one go.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum RunFile {
+        Manifest = "manifest.json",
+        Model = "model.toml",
+        Result = "result.json",
+        Report = "report.html",
+        /// The recommended next run, as a bench file.
+        NextBench = "next-bench.toml",
+        /// The samples by columns.
+        Parquet = "samples.parquet",
+        /// What a controller followed, and its gains, over time.
+        Adaptation = "adaptation.csv",
     }
 }
 

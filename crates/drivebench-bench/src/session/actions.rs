@@ -141,40 +141,27 @@ pub enum Action {
     Finished(Outcome),
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Phase {
-    /// No valid reply yet, or the drive was found running or in fault.
-    Connecting,
-    Safe,
-    /// Output on at zero; waits for the drive to run, and for the start.
-    Armed,
-    Running,
-    RampDown,
-    /// Stop is sent in every cycle until the drive confirms it.
-    Stopping,
-    Done,
-    Stopped,
-    Tripped,
-    LinkLost,
+named! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Phase {
+        /// No valid reply yet, or the drive was found running or in fault.
+        Connecting = "connecting",
+        Safe = "safe",
+        /// Output on at zero; waits for the drive to run, and for the start.
+        Armed = "armed",
+        Running = "running",
+        RampDown = "ramp down",
+        /// Stop is sent in every cycle until the drive confirms it.
+        Stopping = "stopping",
+        Done = "done",
+        Stopped = "stopped",
+        Tripped = "tripped",
+        LinkLost = "link lost",
+    }
 }
 
 impl Phase {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Connecting => "connecting",
-            Self::Safe => "safe",
-            Self::Armed => "armed",
-            Self::Running => "running",
-            Self::RampDown => "ramp down",
-            Self::Stopping => "stopping",
-            Self::Done => "done",
-            Self::Stopped => "stopped",
-            Self::Tripped => "tripped",
-            Self::LinkLost => "link lost",
-        }
-    }
-
     pub const fn is_final(self) -> bool {
         matches!(self, Self::Done | Self::Stopped | Self::Tripped | Self::LinkLost)
     }
