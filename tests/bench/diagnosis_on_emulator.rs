@@ -77,7 +77,6 @@ impl Specimen {
         );
         assert_eq!(summary.outcome, Outcome::Done, "{:?}", summary.notices);
         self.last_seq += summary.link.sent + 1;
-        recorder.finish();
         let mut run = recorder.run("run").unwrap();
         for (channel, origin) in
             [(Channel::VoltageCmd, Origin::Commanded), (Channel::Voltage, Origin::Measured)]

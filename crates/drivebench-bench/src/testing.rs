@@ -615,7 +615,6 @@ impl TestRun<'_> {
             auto_start: true,
         };
         let summary = run(session, bench, &options);
-        recorder.finish();
         (summary, recorder)
     }
 }

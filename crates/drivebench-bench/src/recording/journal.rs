@@ -1,9 +1,7 @@
 //! The journal of a run: rows and events as whole lines, buffered in memory while they cannot be written; and the recorder of
 //! virtual time, which keeps them in memory.
 
-use std::fs::File;
 use std::io::{self, BufRead as _, BufReader, BufWriter, IntoInnerError, Read, Write};
-use std::os::unix::fs::FileExt;
 
 use serde_json::{Map, Value};
 
@@ -81,27 +79,6 @@ pub(super) trait Durable: Write {
     fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize>;
 }
 
-impl Durable for File {
-    fn sync(&mut self) -> io::Result<()> {
-        self.sync_data()
-    }
-
-    fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
-        FileExt::read_at(self, into, at)
-    }
-}
-
-/// Of a record in memory only.
-impl Durable for io::Sink {
-    fn sync(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-
-    fn read_at(&self, _: u64, _: &mut [u8]) -> io::Result<usize> {
-        Ok(0)
-    }
-}
-
 /// Reader of the first bytes of a sink.
 struct ReadBack<'a, S> {
     sink: &'a S,
@@ -131,7 +108,6 @@ impl Capacity {
     /// The last seconds of written samples at 1 kHz, and without a disk hours at 50 Hz, half an hour at 1 kHz.
     pub(super) const SAMPLES: Self = Self { written: 1 << 20, all: 256 << 20 };
     pub(super) const EVENTS: Self = Self { written: 1 << 18, all: 16 << 20 };
-    pub(super) const UNBOUNDED: Self = Self { written: usize::MAX, all: usize::MAX };
 }
 
 /// Write-ahead buffer: whole lines in each write call. Lines that the sink does not take are written first the next time. The
@@ -261,7 +237,7 @@ struct Moved<S> {
     lost: usize,
 }
 
-/// Rows and events as lines in two sinks, for the threaded and the in-memory recorder.
+/// Rows and events as lines in two sinks.
 pub(super) struct Journal<S> {
     layout: Layout,
     samples: Lines<S>,
@@ -439,43 +415,36 @@ impl<S: Durable> Journal<S> {
 /// Records into memory; with the same input it gives the same bytes as [`super::Recorder`] writes.
 pub struct MemoryRecorder {
     order: RowOrder,
-    journal: Journal<io::Sink>,
+    layout: Layout,
+    /// The text of `samples.csv` so far.
+    pub samples: String,
+    /// The text of `events.jsonl` so far.
+    pub events: String,
+    status: RecorderStatus,
 }
 
 impl MemoryRecorder {
     pub fn new(layout: Layout) -> Self {
-        let lines = || Lines::new(io::sink(), Capacity::UNBOUNDED);
         Self {
             order: RowOrder::new(layout.clone()),
-            journal: Journal::new(layout, lines(), lines(), usize::MAX),
+            samples: layout.header(),
+            layout,
+            events: String::new(),
+            status: RecorderStatus::default(),
         }
-    }
-
-    /// Writes the commands that still wait; to be called once at the end.
-    pub fn finish(&mut self) {
-        self.flush();
-        self.journal.finish();
-    }
-
-    /// The text of `samples.csv` so far.
-    pub fn samples_csv(&self) -> String {
-        text_of(&self.journal.samples)
-    }
-
-    /// The text of `events.jsonl` so far.
-    pub fn events_jsonl(&self) -> String {
-        text_of(&self.journal.events)
     }
 
     /// The run as it would be read from disk.
     pub fn run(&self, name: &str) -> Result<Run, RecordingError> {
-        let bytes = self.journal.samples.whole().unwrap_or_default();
-        read_csv(&*bytes, name, ReadOptions::default()).map(|(run, _)| run)
+        read_csv(self.samples.as_bytes(), name, ReadOptions::default()).map(|(run, _)| run)
     }
-}
 
-fn text_of(lines: &Lines<io::Sink>) -> String {
-    String::from_utf8_lossy(&lines.whole().unwrap_or_default()).into_owned()
+    fn keep(&mut self) -> &[Row] {
+        let rows = self.order.rows();
+        self.samples.extend(rows.iter().map(|row| self.layout.line(row)));
+        self.status.rows += rows.len();
+        rows
+    }
 }
 
 impl Record for MemoryRecorder {
@@ -484,23 +453,22 @@ impl Record for MemoryRecorder {
     }
 
     fn row(&mut self, sample: &Sample) -> &[Row] {
-        let rows = self.order.sample(sample);
-        self.journal.rows(rows);
-        rows
+        self.order.sample(sample);
+        self.keep()
     }
 
     fn flush(&mut self) -> &[Row] {
-        let rows = self.order.finish();
-        self.journal.rows(rows);
-        rows
+        self.order.finish();
+        self.keep()
     }
 
     fn event(&mut self, event: Event) {
-        self.journal.event(&event);
+        self.events.push_str(&event.line());
+        self.status.events += 1;
     }
 
     fn status(&self) -> RecorderStatus {
-        self.journal.status()
+        self.status.clone()
     }
 }
 

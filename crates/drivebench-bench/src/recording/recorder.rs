@@ -2,7 +2,7 @@
 
 use std::fs::{File, Permissions};
 use std::io::{self, Write};
-use std::os::unix::fs::{MetadataExt as _, PermissionsExt as _};
+use std::os::unix::fs::{FileExt as _, MetadataExt as _, PermissionsExt as _};
 use std::path::Path;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -66,8 +66,8 @@ impl KeptLogs {
             to_samples
                 .write_all(&samples)
                 .and_then(|()| to_events.write_all(&events))
-                .and_then(|()| to_samples.sync())
-                .and_then(|()| to_events.sync())
+                .and_then(|()| to_samples.sync_data())
+                .and_then(|()| to_events.sync_data())
                 .map_err(|error| RecordingError::io(folder.path(), "write", &error))?;
             folder.write_manifest(manifest)?;
             Ok(folder)
@@ -252,11 +252,11 @@ impl Write for Log {
 
 impl Durable for Log {
     fn sync(&mut self) -> io::Result<()> {
-        self.0.as_mut().map_or(Ok(()), Durable::sync)
+        self.0.as_ref().map_or(Ok(()), File::sync_data)
     }
 
     fn read_at(&self, at: u64, into: &mut [u8]) -> io::Result<usize> {
-        self.0.as_ref().map_or(Ok(0), |file| Durable::read_at(file, at, into))
+        self.0.as_ref().map_or(Ok(0), |file| file.read_at(into, at))
     }
 }
 

@@ -55,11 +55,11 @@ fn disk_and_memory_hold_the_same_bytes() {
     assert!(again.is_err(), "a folder with a run is not recorded into again");
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, 200);
-    memory.finish();
+    memory.flush();
     let [samples, events] = [folder.samples(), folder.events()].map(read);
-    assert_eq!(samples, memory.samples_csv());
-    assert_eq!(events, memory.events_jsonl());
-    assert_eq!(memory.events_jsonl().lines().count(), 4);
+    assert_eq!(samples, memory.samples);
+    assert_eq!(events, memory.events);
+    assert_eq!(memory.events.lines().count(), 4);
 
     let loaded = open_run(folder.path(), ReadOptions::default()).unwrap();
     assert!(loaded.warnings.is_empty(), "{:?}", loaded.warnings);
@@ -89,7 +89,7 @@ fn the_file_grows_by_whole_lines() {
     let root = tempfile::tempdir().unwrap();
     let folder = RunFolder::create(root.path(), "s", "lines").unwrap();
     let (samples, events) = folder.create_logs().unwrap();
-    let lines = |sink| Lines::new(sink, Capacity::SAMPLES);
+    let lines = |file| Lines::new(Log(Ok(file)), Capacity::SAMPLES);
     let mut journal = Journal::new(layout(), lines(samples), lines(events), 50);
     for row in 0..50_usize {
         let mut line = Row::at(row as f64);
@@ -105,8 +105,8 @@ fn the_file_grows_by_whole_lines() {
 fn expected(cycles: u32) -> (String, String) {
     let mut memory = MemoryRecorder::new(layout());
     drive(&mut memory, cycles);
-    memory.finish();
-    (memory.samples_csv(), memory.events_jsonl())
+    memory.flush();
+    (memory.samples, memory.events)
 }
 
 fn wait_for_message(disk: &Recorder) -> String {

@@ -94,9 +94,7 @@ impl Case {
                 Ok(Box::new(drive))
             },
         );
-        recorder.finish();
-        let events = recorder.events_jsonl();
-        let events = events.lines().map(|l| serde_json::from_str(l).unwrap());
+        let events = recorder.events.lines().map(|l| serde_json::from_str(l).unwrap());
         Outcome {
             reopened,
             has_link: link.is_some(),

@@ -75,10 +75,10 @@ fn the_embedded_bench_runs_to_its_end_in_virtual_time() {
 #[test]
 fn one_seed_gives_the_same_bytes_and_another_seed_others() {
     let (one, again, other) = (emulated(1, 1).1, emulated(1, 1).1, emulated(2, 1).1);
-    assert_eq!(one.samples_csv(), again.samples_csv());
-    assert_eq!(one.events_jsonl(), again.events_jsonl());
-    assert_ne!(one.samples_csv(), other.samples_csv());
-    assert_ne!(one.samples_csv(), emulated(1, 2).1.samples_csv());
+    assert_eq!(one.samples, again.samples);
+    assert_eq!(one.events, again.events);
+    assert_ne!(one.samples, other.samples);
+    assert_ne!(one.samples, emulated(1, 2).1.samples);
 }
 
 #[test]
@@ -129,7 +129,7 @@ impl Scripted<'_> {
         };
         let mut clock = LateClock { clock: VirtualClock::new(), late_s };
         let (summary, recorder) = self.test.run(session, &mut self.drive, &mut clock);
-        (summary, recorder.events_jsonl(), self.drive)
+        (summary, recorder.events, self.drive)
     }
 }
 
@@ -456,7 +456,7 @@ fn foreign(
     let limits = Limits { link_silence_s: 0.4, ..Limits::for_motor(&motor, 20.0) };
     let session = Session::new(constant(4.0, demand), Guard::new(limits, &motor, None));
     let (summary, recorder) = TestRun::at(20.0).run(session, &mut link, &mut clock);
-    (summary, recorder.events_jsonl(), link.link)
+    (summary, recorder.events, link.link)
 }
 
 const SLOW: Demand = Demand::Speed(30.0);
