@@ -76,7 +76,7 @@ fn controller(text: &str) -> Result<ControllerKind, String> {
 }
 
 fn forward_use(text: &str) -> Result<ForwardUse, String> {
-    by_name(ForwardUse::ALL, ForwardUse::id, text)
+    by_name(ForwardUse::ALL, ForwardUse::name, text)
 }
 
 fn actuator(text: &str) -> Result<Actuator, String> {

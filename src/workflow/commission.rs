@@ -506,7 +506,6 @@ pub struct CommissionResult {
     pub truth: Option<Truth>,
 }
 
-/// One stage with the folder of its record.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageRecord {
     #[serde(flatten)]
@@ -555,7 +554,6 @@ impl Escalate {
         self.escalation.stage()
     }
 
-    /// Evaluates the record of the stage.
     pub fn ran(&mut self, run: &Run, folder: Option<String>) -> Result<StageRecord, ScenarioError> {
         let reason = self.stage().map(|stage| stage.reason.clone());
         self.escalation.learn(run)?;

@@ -8,7 +8,6 @@ use drivebench_model::text::lines::wrapped;
 /// Separates the name of the bench from that of the recommended run.
 const NEXT: &str = "-next-";
 
-/// Limits of a run on this bench.
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
     // A drive for this motor gives at most twice its rated current.

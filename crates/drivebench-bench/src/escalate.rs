@@ -22,7 +22,6 @@ use drivebench_model::sample::Channel;
 /// have an uncertainty.
 const MARGINS: [(f64, f64, f64); 3] = [(1.0, 1.0, 1.0), (1.05, 0.95, 0.95), (0.95, 0.95, 0.95)];
 
-/// The bounds of the escalation by a bench file.
 pub fn bounds(bench: &BenchFile) -> Bounds {
     let limits = bench.limits();
     Bounds {

@@ -50,7 +50,6 @@ pub struct InitRequest<'a> {
     /// Why this name of the port; empty where it is the one that was given.
     pub port_reason: &'a str,
     pub motor: &'a MotorSection,
-    /// File of the nameplate.
     pub motor_file: &'a str,
     pub readback: Readback,
 }
@@ -69,9 +68,7 @@ pub struct Reasoned {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InitUse {
-    /// Sequences of voltages.
     Voltages,
-    /// Sequences of currents.
     Currents,
     /// A speed loop, and no sequence of voltages.
     SpeedLoop,

@@ -123,7 +123,6 @@ impl SupplySection {
 /// The part of the limits that comes from the drive's profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveFacts {
-    /// Limits of the profile.
     pub bounds: DriveLimits,
     pub converter: Option<Converter>,
     /// Field current below which the motor would run away, A.

@@ -74,7 +74,6 @@ pub struct LostDrive<'a> {
     pub seed: u64,
 }
 
-/// Times at the end of a run.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RunEnd {
     /// From host time to the samples' time axis, s.
@@ -83,7 +82,6 @@ pub struct RunEnd {
     pub last_reply_s: f64,
 }
 
-/// Opens the link anew.
 type Open<'a> = &'a mut dyn FnMut() -> Result<Box<dyn DriveLink>, LinkError>;
 
 /// Searches until the drive is found, the time is over or the user ends it; `open` opens the link anew. Returns the link only
@@ -93,7 +91,6 @@ pub fn reopen(lost: LostDrive<'_>, open: Open<'_>) -> (Reopened, Option<Box<dyn 
     Search { lost, reopening, last_reason: String::new(), identity: None }.search(open)
 }
 
-/// Result of an attempt.
 enum Attempt {
     /// Tried again.
     Failed(String),

@@ -73,7 +73,6 @@ pub struct SuiteTarget {
     pub seed: Option<u64>,
 }
 
-/// A limit and where it comes from.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct GoldenLimit {
     pub case: &'static str,

@@ -141,7 +141,6 @@ impl Checker<'_> {
     }
 }
 
-/// Name of the set-point.
 fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
     let quantity = match commanded(zero) {
         Actuator::Voltage => Quantity::Voltage,
@@ -151,7 +150,6 @@ fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {
     Some(&map?.demand(quantity)?.name)
 }
 
-/// State of the pulse.
 struct PulseRun<'c, 'a> {
     checker: &'c mut Checker<'a>,
     guard: Guard,
@@ -161,7 +159,6 @@ struct PulseRun<'c, 'a> {
     /// Mean of the speed at rest, and the largest deviation from it that counts as rest, rad/s.
     rest: (f64, f64),
     next_s: f64,
-    /// The last demand.
     sent: Demand,
     /// Time in suspension before the pulse, s.
     slept_s: f64,

@@ -45,7 +45,6 @@ impl Known<'_> {
     }
 }
 
-/// The extremes of one direction.
 struct Extremes {
     demand: f64,
     /// Largest current beyond the hold, with its sign; `None`: not measured.

@@ -87,7 +87,6 @@ fn passes(report: &CheckReport) {
     assert!(report.passed(), "{:?}", report.refusal());
 }
 
-/// The check of this name refused, with this text.
 #[track_caller]
 fn refuses(report: &CheckReport, name: &str, words: &str) {
     let refusal = report.refusal().unwrap();

@@ -95,7 +95,6 @@ impl Factor {
     }
 }
 
-/// A unit of a column.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Unit {
     pub quantity: Quantity,

@@ -5,7 +5,6 @@ use super::header::Parts;
 use super::known::{Factor, Known, Qualifier, Quantity, Tool, Unit, plain};
 use crate::recording::Preview;
 
-/// Where the unit comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum UnitFrom {
     /// It is written in the file, or the program writes no other.

@@ -35,7 +35,6 @@ impl Tamper<MemoryLink> for Watched {
     }
 }
 
-/// One escalation.
 struct Done {
     escalation: Escalation,
     outcomes: Vec<RunOutcome>,

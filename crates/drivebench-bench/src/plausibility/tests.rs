@@ -137,7 +137,6 @@ impl Tamper<MemoryLink> for Broken {
     }
 }
 
-/// One run.
 struct Trial {
     traits: Traits,
     rate_hz: f64,

@@ -197,7 +197,6 @@ pub(super) fn quoted_cells(line: &str, separator: u8) -> Result<(Vec<String>, bo
     }
 }
 
-/// The error with its place.
 pub(super) fn at_line(error: &LineError, file: &str, line: usize) -> RecordingError {
     let file = file.to_owned();
     match error {

@@ -14,7 +14,6 @@ use super::csv_cells::{
 };
 use drivebench_identify::sanity::is_unit;
 
-/// The head of a table.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Head {
     /// One name for each column, as it stands there, without blanks and quotes around it.

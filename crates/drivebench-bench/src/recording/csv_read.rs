@@ -306,7 +306,6 @@ impl<R: BufRead> CsvRows<R> {
         self.warnings.push(format!("{file}: the last row (line {line}) is torn and was left out"));
     }
 
-    /// The headers of the time column.
     fn time_column(&self) -> String {
         let names = time_of(&self.columns)
             .map(|column| column.cells.iter().map(|cell| &*self.head.headers[cell.field]));

@@ -219,7 +219,6 @@ pub(super) fn is_date(text: &str) -> bool {
     })
 }
 
-/// A date as it is written.
 struct DateParts {
     numbers: [u16; 3],
     /// The only order that its form allows.
@@ -277,7 +276,6 @@ struct ClockText<'a> {
     behind: &'a str,
 }
 
-/// A time of the day.
 struct DayTime {
     ns: i64,
     zone_s: Option<i64>,

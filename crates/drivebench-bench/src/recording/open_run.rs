@@ -9,7 +9,6 @@ use super::run_folder::{SAMPLES, read_text};
 use super::{CsvRows, Manifest, ReadOptions, RecordingError, RunFile, RunFolder, csv_read};
 use drivebench_model::sample::{Channel, Origin, Run};
 
-/// A run with its manifest.
 #[derive(Clone, Debug)]
 pub struct LoadedRun {
     pub run: Run,

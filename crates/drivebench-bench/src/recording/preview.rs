@@ -25,7 +25,6 @@ pub struct Preview {
     pub columns: Vec<PreviewColumn>,
 }
 
-/// One column.
 #[derive(Clone, Debug, Default)]
 pub struct PreviewColumn {
     /// One number for each row that is kept; NaN where the cell holds none. Dates and clocks are seconds.

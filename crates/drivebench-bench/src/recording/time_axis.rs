@@ -30,9 +30,7 @@ const ROWS: usize = 1 << 14;
 /// A counter that begins again.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Counter {
-    /// Its range, s.
     pub range_s: f64,
-    /// Its least value, s.
     pub least_s: f64,
     /// `16 bits`, `a day`.
     pub name: &'static str,
@@ -62,7 +60,6 @@ impl Counter {
     }
 }
 
-/// A row's stamp.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Stamp {
     /// As in the file, s.
@@ -133,7 +130,6 @@ pub(super) struct TimeAxis<T> {
 }
 
 impl<T> TimeAxis<T> {
-    /// Rows left out.
     pub(super) fn left_out(&self) -> usize {
         self.same + self.backwards + self.repeats.rows
     }

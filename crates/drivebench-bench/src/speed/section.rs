@@ -45,26 +45,20 @@ impl ControllerKind {
     }
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ForwardUse {
-    #[default]
-    Off,
-    On,
-    /// The reference is followed twice from the same beginning, first without, then with.
-    Compare,
+named! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum ForwardUse {
+        #[default]
+        Off = "off",
+        On = "on",
+        /// The reference is followed twice from the same beginning, first without, then with.
+        Compare = "compare",
+    }
 }
 
 impl ForwardUse {
     pub const ALL: [Self; 3] = [Self::Off, Self::On, Self::Compare];
-
-    pub const fn id(self) -> &'static str {
-        match self {
-            Self::Off => "off",
-            Self::On => "on",
-            Self::Compare => "compare",
-        }
-    }
 
     /// Whether each pass over the reference has it.
     pub const fn passes(self) -> &'static [bool] {
