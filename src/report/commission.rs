@@ -6,7 +6,6 @@ use super::{Bars, Context, Document, Table, Target, Tone, comparison, findings, 
 use drivebench_diagnose::{Answer, Comparison, Diagnosis, EffectCurve, HoldoutFrom, Rung};
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::Model;
-use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number::{fixed, percent};
 
 #[derive(Clone, Debug)]
@@ -17,14 +16,10 @@ pub struct CommissionReport<'a> {
     pub context: &'a Context,
     /// For comparison with what was identified.
     pub nameplate: Option<&'a Model>,
-    /// Of the refitted baseline and of the model with what was added.
-    pub parameters_before: &'a [ParameterEstimate],
-    pub parameters_after: &'a [ParameterEstimate],
+    /// Of the refitted baseline and of the model with what was added, which is the same where nothing was.
     pub before: &'a Comparison,
-    pub after: Option<&'a Comparison>,
+    pub after: &'a Comparison,
     pub diagnosis: &'a Diagnosis,
-    /// Usually the diagnosis' own, longer where the commission went on.
-    pub ladder: &'a [Rung],
     /// Errors before and after on the run that neither fitted nor selected: the headline.
     pub confirm: Option<&'a [Rung; 2]>,
     pub series: Option<&'a ConfirmRun>,
@@ -47,13 +42,9 @@ impl CommissionReport<'_> {
         tables::data_notes(&mut document, self.context);
         self.ladder_section(&mut document);
         // Where nothing was added there is one model, not a model before and after.
-        let (before, after) = if self.after.is_some() {
-            (self.parameters_before, self.parameters_after)
-        } else {
-            (&[][..], self.parameters_before)
-        };
-        let (nameplate, most) = (self.nameplate, 8);
-        tables::parameter_section(&mut document, "motor", nameplate, before, after, most);
+        let (before, after) = (&found.baseline.parameters[..], &found.model.parameters[..]);
+        let (before, after) = if self.is_changed() { (before, after) } else { (&[][..], before) };
+        tables::parameter_section(&mut document, "motor", self.nameplate, before, after, 8);
         findings::effects(&mut document, found, self.curves);
         document.section("Model and measurement");
         if let Some(run) = self.series {
@@ -89,9 +80,13 @@ impl CommissionReport<'_> {
         }
     }
 
+    const fn is_changed(&self) -> bool {
+        !self.diagnosis.effects.is_empty()
+    }
+
     /// What a rung adds to the one above it.
     fn step_name(&self, index: usize, rung: &Rung) -> String {
-        let above = index.checked_sub(1).and_then(|above| self.ladder.get(above));
+        let above = index.checked_sub(1).and_then(|above| self.diagnosis.ladder.get(above));
         let added = above
             .and_then(|above| rung.effects.iter().find(|effect| !above.effects.contains(effect)));
         added.map_or_else(|| rung_name(rung), |effect| format!("+ {effect}"))
@@ -103,7 +98,7 @@ impl CommissionReport<'_> {
             return format!("{sentence}.");
         };
         let (old, new) = (fixed(before.holdout_rmse, 2), fixed(after.holdout_rmse, 2));
-        let errors = if self.after.is_some() { format!("{old} before, {new} after") } else { old };
+        let errors = if self.is_changed() { format!("{old} before, {new} after") } else { old };
         format!(
             "{sentence}. On a run that neither fitted nor selected: {errors}, in units of {}.",
             self.unit_of_error()
@@ -119,9 +114,10 @@ impl CommissionReport<'_> {
     }
 
     /// Both comparisons with what their model is called; where nothing was added there is but one model.
-    fn comparisons(&self) -> [(&'static str, Option<&Comparison>); 2] {
-        let [before, after] = model_names(self.after.is_some());
-        [(before, Some(self.before)), (after, self.after)]
+    fn comparisons(&self) -> Vec<comparison::Named<'_>> {
+        let models = if self.is_changed() { 2 } else { 1 };
+        let names = model_names(self.is_changed()).into_iter();
+        names.zip([self.before, self.after]).take(models).collect()
     }
 
     fn unit_of_error(&self) -> &'static str {
@@ -148,7 +144,8 @@ impl CommissionReport<'_> {
             self.unit_of_error()
         ));
         let floor_known = self.diagnosis.noise_floor_from != FloorSource::None;
-        let ladder = self.ladder.iter().enumerate().map(|(index, rung)| {
+        let rungs = &self.diagnosis.ladder;
+        let ladder = rungs.iter().enumerate().map(|(index, rung)| {
             let error = rung.holdout_rmse;
             (self.step_name(index, rung), error, fixed(error, 2))
         });
@@ -167,11 +164,11 @@ impl CommissionReport<'_> {
             },
         );
         let change = |rung: usize| {
-            let errors = (self.ladder[rung].holdout_rmse, self.ladder[rung - 1].holdout_rmse);
+            let errors = (rungs[rung].holdout_rmse, rungs[rung - 1].holdout_rmse);
             percent(100.0 * (errors.0 / errors.1 - 1.0))
         };
         document.table(
-            Table::of(self.ladder.iter().enumerate())
+            Table::of(rungs.iter().enumerate())
                 .column("rung", |(rung, _)| rung.to_string())
                 .column("model", |(_, model)| rung_name(model))
                 .column("held-out error", |(_, model)| fixed(model.holdout_rmse, 2))

@@ -11,7 +11,6 @@ use drivebench_diagnose::{
 };
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::plant::effect;
-use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fit, fixed, r_min, share, significant};
 use drivebench_model::units::rpm_from_rad_s;
@@ -26,8 +25,6 @@ pub struct ComparisonReport<'a> {
     pub model: &'a str,
     /// Whether there is an objection to the hold-out; the notes of the context have the reason.
     pub holdout_objected: bool,
-    /// Of the model that is compared; may be empty.
-    pub parameters: &'a [ParameterEstimate],
     /// The model's free run over what is held out, where there is a voltage.
     pub series: Option<&'a ConfirmRun>,
     /// The error of the worse equation over its axis.
@@ -77,7 +74,7 @@ impl ComparisonReport<'_> {
         document.lead(tone, verdict, sentence);
         document.say("model", [self.model], 1);
         tables::data_notes(&mut document, self.context);
-        let models = [("model", Some(self.comparison))];
+        let models = [("model", self.comparison)];
         document.section("Model and measurement");
         if let Some(run) = self.series {
             traces(&mut document, run);
@@ -88,8 +85,6 @@ impl ComparisonReport<'_> {
             findings::effect_curve(&mut document, curve);
         }
         places(&mut document, &models);
-        let parameters = self.parameters;
-        tables::parameter_section(&mut document, "motor", None, &[], parameters, 0);
         tables::conditions(&mut document, self.context);
         document
     }
@@ -98,7 +93,7 @@ impl ComparisonReport<'_> {
 /// A comparison alone, for a screen: errors, residual tests, where the model fails.
 pub fn comparison_document(comparison: &Comparison) -> Document {
     let mut document = Document::new("", "");
-    let models = [("model", Some(comparison))];
+    let models = [("model", comparison)];
     figures(&mut document, &models, HELD_OUT);
     places(&mut document, &models);
     document
@@ -117,7 +112,7 @@ pub fn error_changes(result: &AddResult) -> String {
 }
 
 /// A comparison with what its model is called.
-pub(super) type Named<'a> = (&'static str, Option<&'a Comparison>);
+pub(super) type Named<'a> = (&'static str, &'a Comparison);
 
 /// Figures of one signal under one model: terminal, screen and page show these.
 #[derive(Clone, Debug)]
@@ -216,7 +211,7 @@ pub fn change_document(result: &AddResult) -> Document {
 }
 
 fn sides(result: &AddResult) -> [Named<'_>; 2] {
-    [("model before", Some(&result.before)), ("model after", Some(&result.after))]
+    [("model before", &result.before), ("model after", &result.after)]
 }
 
 /// The run that errors are of, in heads of columns: fit, root mean square.
@@ -238,10 +233,8 @@ pub(super) fn figures(
         HELD_OUT[0],
         CONFIRMING[0],
     ];
-    let known = comparisons.iter();
-    let known: Vec<_> = known.filter_map(|(label, own)| Some((*label, (*own)?))).collect();
     let mut rows = Vec::new();
-    for (label, own) in &known {
+    for (label, own) in comparisons {
         let figures = SignalFigures::all(&own.signals).into_iter();
         rows.extend(figures.map(|figures| (*label, figures)));
     }
@@ -252,7 +245,7 @@ pub(super) fn figures(
         value.map_or_else(|| Cell::text(word), |value| row.cell(value))
     };
     let mut table = Table::of(rows).column("signal", |(_, row)| row.name.clone());
-    if known.len() > 1 {
+    if comparisons.len() > 1 {
         table = table.column("model", |(label, _)| *label);
     }
     let table = table
@@ -264,20 +257,20 @@ pub(super) fn figures(
         .column("training rms error", |(_, row)| row.cell(row.rmse))
         .column("one-step rms error", |(_, row)| or(row.one_step_rmse, row, "-"));
     document.table_on_card("errors", table, SPARE, 2);
-    for (index, (label, comparison)) in known.iter().enumerate() {
+    for (index, (label, comparison)) in comparisons.iter().enumerate() {
         let sentence = residual::residual(&comparison.residual);
-        let least = usize::from(index + 1 == known.len());
-        let model = label_of(&known, label);
+        let least = usize::from(index + 1 == comparisons.len());
+        let model = label_of(comparisons, label);
         document.say("residual", [format!("{model}{sentence}")], least);
     }
-    let last = known.last().into_iter();
+    let last = comparisons.last().into_iter();
     document.say("", last.flat_map(|(_, last)| residual::details(&last.residual)), 0);
-    lights(document, &known);
+    lights(document, comparisons);
 }
 
 /// The residual tests of each model, in multiples of their 99 % band.
-fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
-    let of_model = |(label, own): &(&'static str, &Comparison)| {
+fn lights(document: &mut Document, models: &[Named<'_>]) {
+    let of_model = |(label, own): &Named<'_>| {
         let label = *label;
         let signals = own.residual.named();
         signals.map(move |(signal, lights)| (signal, label, lights)).collect::<Vec<_>>()
@@ -308,17 +301,15 @@ fn lights(document: &mut Document, models: &[(&'static str, &Comparison)]) {
 }
 
 /// What the sentences of a model begin with, where there is more than one.
-fn label_of(known: &[(&'static str, &Comparison)], label: &str) -> String {
-    if known.len() > 1 { format!("{label}: ") } else { String::new() }
+fn label_of(models: &[Named<'_>], label: &str) -> String {
+    if models.len() > 1 { format!("{label}: ") } else { String::new() }
 }
 
 /// Where each model fails: sentences, balances, the map; those of the last model are on the card.
 pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
     document.section("Where the model fails");
-    let known = comparisons.iter();
-    let known: Vec<_> = known.filter_map(|(label, own)| Some((*label, (*own)?))).collect();
-    for (index, (label, comparison)) in known.iter().enumerate() {
-        let is_last = index + 1 == known.len();
+    for (index, (label, comparison)) in comparisons.iter().enumerate() {
+        let is_last = index + 1 == comparisons.len();
         let mut say = |label: &str, sentences: Vec<String>, least| {
             if is_last {
                 document.say(label, sentences, least);
@@ -330,7 +321,7 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
         let first = comparison.locations.first().filter(|_| place == Where::First);
         let in_r_min = first.and_then(range_in_r_min).unwrap_or_default();
         let sentence = location::failure(comparison);
-        let model = label_of(&known, label);
+        let model = label_of(comparisons, label);
         say("where", vec![format!("{model}{sentence}{in_r_min}")], 1);
         let places = places.iter().take(4);
         say("", places.map(self::place).collect(), 0);

@@ -83,6 +83,8 @@ fn the_verdict_is_first_and_every_figure_has_its_uncertainty() {
     let before = motor((1.1432, 0.0041), (0.004_61, 0.000_19), Some("relative uncertainty 4.1 %"));
     let mut after = motor((1.1003, 0.0007), (0.004_501, 0.000_003), None);
     after.extend(diagnosis.candidates[0].parameters.clone());
+    (diagnosis.baseline.parameters, diagnosis.model.parameters) = (before, after);
+    diagnosis.ladder = vec![rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.03)];
     let (old, new) = (comparison(0.76), comparison(0.155));
     let new = Comparison {
         locations: vec![],
@@ -99,12 +101,9 @@ fn the_verdict_is_first_and_every_figure_has_its_uncertainty() {
         title: "ZK-22FC",
         context: &context(),
         nameplate: Some(&Model::baseline(Motor::zk_22fc())),
-        parameters_before: &before,
-        parameters_after: &after,
         before: &old,
-        after: Some(&new),
+        after: &new,
         diagnosis: &diagnosis,
-        ladder: &[rung(vec![], 5.1), rung(vec!["stribeck_friction"], 1.03)],
         confirm: Some(&[rung(vec![], 5.0), rung(vec!["stribeck_friction"], 1.04)]),
         series: None,
         curves: &[],
@@ -149,7 +148,7 @@ fn commission(truth: &Model) -> String {
     let confirm = evidence.confirm.as_ref().unwrap();
     let (baseline, model) = (&found.baseline.model, &found.model.model);
     let named = !found.effects.is_empty();
-    let (before, after) = (compare(baseline), named.then(|| compare(model)));
+    let (before, after) = (compare(baseline), compare(model));
     let run = ConfirmRun::of(baseline, named.then_some(model), confirm, &evidence.noise).unwrap();
     let curve = |id: &str| found.curve_of(Some(id), confirm, &evidence.noise).unwrap();
     let curves: Vec<_> = (found.effects.iter()).filter_map(|id| curve(id)).collect();
@@ -159,12 +158,9 @@ fn commission(truth: &Model) -> String {
         title: "ZK-22FC on the emulator",
         context: &context(),
         nameplate: Some(&nameplate),
-        parameters_before: &found.baseline.parameters,
-        parameters_after: &found.model.parameters,
         before: &before,
-        after: after.as_ref(),
+        after: &after,
         diagnosis: &found,
-        ladder: &found.ladder,
         confirm: Some(&confirmed),
         series: Some(&run),
         curves: &curves,

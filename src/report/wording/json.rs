@@ -11,7 +11,7 @@ use drivebench_bench::column_proposal::Proposal;
 use drivebench_diagnose::{
     AddResult, Comparison, Diagnosis, FailureLocation, Limit, NextExperiment, Versus,
 };
-use drivebench_identify::drift::Drift;
+use drivebench_identify::drift::{Change, Drift};
 use drivebench_identify::nameplate::Comparison as Nameplate;
 use drivebench_identify::sanity::Finding;
 use drivebench_link::ProbeReport;
@@ -21,10 +21,10 @@ fn own(found: &impl Serialize) -> Value {
     serde_json::to_value(found).unwrap_or_default()
 }
 
-/// Puts the sentence of each element into the element of a list.
-fn each<T>(list: &mut Value, found: &[T], key: &str, sentence: impl Fn(&T) -> String) {
+/// Puts what is made of each element into the element of a list: mostly its sentence.
+fn each<T, V: Into<Value>>(list: &mut Value, found: &[T], key: &str, made: impl Fn(&T) -> V) {
     for (value, found) in list.as_array_mut().into_iter().flatten().zip(found) {
-        value[key] = sentence(found).into();
+        value[key] = made(found).into();
     }
 }
 
@@ -115,9 +115,8 @@ pub fn drift(found: &Drift) -> Value {
     value["caution"] = drift::caution(found).into();
     let changes = &mut value["changes"];
     each(changes, &found.changes, "sentence", |own| drift::change(own, &found.since));
-    for (change, own) in changes.as_array_mut().into_iter().flatten().zip(&found.changes) {
-        change["possible_cause"] = own.possible_cause.as_ref().map(drift::cause).into();
-    }
+    let cause = |own: &Change| own.possible_cause.as_ref().map(drift::cause);
+    each(changes, &found.changes, "possible_cause", cause);
     each(&mut value["not_compared"], &found.not_compared, "reason", drift::not_compared);
     value
 }
@@ -125,19 +124,15 @@ pub fn drift(found: &Drift) -> Value {
 pub fn sanity(found: &[Finding]) -> Value {
     let mut list = own(&found);
     each(&mut list, found, "sentence", |finding| sanity::fault(&finding.fault));
-    let values = list.as_array_mut().into_iter().flatten();
-    for (value, help) in values.zip(sanity::helps(found)) {
-        value["help"] = help.into();
-    }
+    each(&mut list, &sanity::helps(found), "help", String::clone);
     list
 }
 
 pub fn map(found: &Proposal) -> Value {
     let mut value = own(found);
-    for (value, item) in value["items"].as_array_mut().into_iter().flatten().zip(&found.items) {
-        value["reasons"] = coded(&item.reasons, columns::reason);
-        value["doubts"] = coded(&item.doubts, columns::doubt);
-    }
+    let items = &mut value["items"];
+    each(items, &found.items, "reasons", |item| coded(&item.reasons, columns::reason));
+    each(items, &found.items, "doubts", |item| coded(&item.doubts, columns::doubt));
     value["missing"] = coded(&found.missing, columns::missing);
     value["doubts"] = coded(&found.doubts, sanity::fault);
     value["unused"] = coded(&found.unused, columns::unused);
@@ -160,9 +155,7 @@ pub fn nameplate(found: &Nameplate) -> Value {
         value["doubt"] = nameplate::doubt(doubt).into();
     }
     each(&mut value["rows"], &found.rows, "sentence", nameplate::row);
-    for (row, own) in value["rows"].as_array_mut().into_iter().flatten().zip(&found.rows) {
-        row["code"] = own.finding().code().into();
-    }
+    each(&mut value["rows"], &found.rows, "code", |own| own.finding().code());
     value
 }
 
