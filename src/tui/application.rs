@@ -80,10 +80,14 @@ pub trait Screen {
     fn click(&mut self, at: Position, area: Rect);
     /// Shows a message instead of that of the last key.
     fn notify(&mut self, text: &str);
-    /// Whether the program may be halted now; else the screen shows why not.
-    fn may_suspend(&mut self) -> bool;
-    /// Whether a panic of another thread is the end of it.
-    fn ends_with_a_panic(&self) -> bool;
+    /// Whether the program may be halted now; else the screen shows why not. An analysis goes on where it was.
+    fn may_suspend(&mut self) -> bool {
+        true
+    }
+    /// Whether a panic of another thread is the end of it: where nothing is energised.
+    fn ends_with_a_panic(&self) -> bool {
+        true
+    }
     fn draw(&self, frame: &mut Frame<'_>);
 }
 

@@ -137,15 +137,6 @@ impl Screen for DiagnosisScreen {
         self.state.message = Some(text.to_owned());
     }
 
-    fn may_suspend(&mut self) -> bool {
-        // Nothing is energised here, and an analysis goes on where it was.
-        true
-    }
-
-    fn ends_with_a_panic(&self) -> bool {
-        true
-    }
-
     fn draw(&self, frame: &mut Frame<'_>) {
         view::view(&self.state, frame);
     }

@@ -124,15 +124,6 @@ impl Screen for ResponseScreen {
         self.message = Some(text.to_owned());
     }
 
-    fn may_suspend(&mut self) -> bool {
-        // Nothing is energised, and no work is under way.
-        true
-    }
-
-    fn ends_with_a_panic(&self) -> bool {
-        true
-    }
-
     fn draw(&self, frame: &mut Frame<'_>) {
         view::screen(self, frame);
     }
