@@ -37,11 +37,6 @@ use drivebench_bench::recording::{RunFolder, utc_stamp};
 
 /// Run a suite of bench tests, on the software drive or a real one: cases of steps, limits, a verdict for each
 #[derive(clap::Args)]
-#[expect(
-    clippy::struct_excessive_bools,
-    clippy::doc_markdown,
-    reason = "switches of a command line; the help in a terminal shows backticks as they are"
-)]
 #[command(after_help = "Examples:
   drivebench test bench-configs/suites/acceptance.toml                        the software drive, in virtual time
   drivebench test suite.toml --junit junit.xml --json > result.json           for a CI job

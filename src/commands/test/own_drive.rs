@@ -6,7 +6,6 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use nix::sys::signal::Signal;
 use serde_json::Value;
 
 use super::process;
@@ -71,15 +70,6 @@ impl OwnDrive {
         if self.is_network { format!("tcp:{}", self.address) } else { self.address.clone() }
     }
 
-    fn kill(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-        if !self.is_network {
-            // The name would lead to whichever drive is given the terminal's number next.
-            let _ = fs::remove_file(&self.address);
-        }
-    }
-
     /// It has ended.
     pub(super) fn is_gone(&mut self) -> bool {
         !self.child.try_wait().is_ok_and(|ended| ended.is_none())
@@ -88,15 +78,11 @@ impl OwnDrive {
 
 impl Drop for OwnDrive {
     fn drop(&mut self) {
-        process::signal(&self.child, Signal::SIGTERM);
-        let watch = Watch::start();
-        while watch.took_s() < 10.0 {
-            if !self.child.try_wait().is_ok_and(|ended| ended.is_none()) {
-                return;
-            }
-            std::thread::sleep(process::POLL);
+        let ended = process::end(&mut self.child, 10.0);
+        if matches!(ended, Ok(None)) && !self.is_network {
+            // The name would lead to whichever drive is given the terminal's number next.
+            let _ = fs::remove_file(&self.address);
         }
-        self.kill();
     }
 }
 

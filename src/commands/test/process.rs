@@ -88,13 +88,6 @@ pub(super) fn do_not_block(end: impl AsFd) -> io::Result<()> {
     Ok(rustix::fs::fcntl_setfl(&end, flags | rustix::fs::OFlags::NONBLOCK)?)
 }
 
-/// Sends a signal; a process that has just ended is no error.
-pub(super) fn signal(child: &Child, signal: Signal) {
-    if let Ok(id) = i32::try_from(child.id()) {
-        let _ = kill(Pid::from_raw(id), signal);
-    }
-}
-
 /// Runs `command`, whose results and messages go to these files, for `timeout_s` at most or until `stop` is raised.
 pub(super) fn finish(
     mut command: Command,
@@ -113,7 +106,8 @@ pub(super) fn finish(
             break code_of(status).map_or(End::Killed, End::Status);
         }
         if watch.took_s() > timeout_s || stop.load(Ordering::Acquire) {
-            break end(&mut child)?;
+            let ended = end(&mut child, 15.0)?;
+            break ended.map_or(End::Killed, |status| End::Terminated(code_of(status)));
         }
         std::thread::sleep(POLL);
     };
@@ -124,19 +118,22 @@ fn code_of(status: ExitStatus) -> Option<u8> {
     status.code().and_then(|code| u8::try_from(code).ok())
 }
 
-/// Terminates a process, and kills it where it does not end within 15 s.
-fn end(child: &mut Child) -> io::Result<End> {
-    signal(child, Signal::SIGTERM);
+/// Terminates a process; its status, unless it has to be killed because it does not end within `patience_s`.
+pub(super) fn end(child: &mut Child, patience_s: f64) -> io::Result<Option<ExitStatus>> {
+    if let Ok(id) = i32::try_from(child.id()) {
+        // A process that has just ended is no error.
+        let _ = kill(Pid::from_raw(id), Signal::SIGTERM);
+    }
     let watch = Watch::start();
-    while watch.took_s() < 15.0 {
+    while watch.took_s() < patience_s {
         if let Some(status) = child.try_wait()? {
-            return Ok(End::Terminated(code_of(status)));
+            return Ok(Some(status));
         }
         std::thread::sleep(POLL);
     }
     child.kill()?;
     child.wait()?;
-    Ok(End::Killed)
+    Ok(None)
 }
 
 /// The message of the error that a command ended with.
