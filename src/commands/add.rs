@@ -5,7 +5,8 @@
 
 use std::path::PathBuf;
 
-use crate::commands::arguments::{EvidenceArguments, Form, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
+use crate::commands::effects::unknown_effect;
 use crate::commands::evidence::Judging;
 use crate::report::Document;
 use crate::report::comparison::change_document;
@@ -13,11 +14,10 @@ use crate::report::wording::location::axis_map as axis_map_words;
 use crate::report::wording::{change as words, json};
 use crate::runtime::failure::{Failure, REFUSED};
 use crate::runtime::files::{model_file, speed_command};
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::output::{self, Form, Terminal};
 use crate::workflow::{curve_table, four_digits, hold_collinear_parameter};
 use drivebench_diagnose::{AddResult, AxisMap, Evidence, add, axis_map, remove};
 use drivebench_identify::output_error;
-use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::effect::{Axis, DefinitionError};
 use drivebench_model::plant::{Effect, FileHistory, Model, ModelError, effect};
 
@@ -120,12 +120,7 @@ pub(super) fn execute_remove(arguments: &Arguments, terminal: &Terminal) -> Resu
 
 /// The effect of the catalogue with this id.
 fn known(id: &str) -> Result<&'static dyn Effect, Failure> {
-    effect::find(id).ok_or_else(|| {
-        let families = effect::FAMILIES.iter().map(|card| card.id);
-        let effects = effect::CATALOGUE.iter().map(|effect| effect.card().id);
-        let help = help_for_unknown(id, effects.chain(families));
-        Failure::usage(format!("effect {id:?} is not in the catalogue"), help)
-    })
+    effect::find(id).ok_or_else(|| unknown_effect(id))
 }
 
 /// The effect with this id as the model has it.
@@ -192,7 +187,7 @@ fn run(
         terminal.line(&model)?;
     }
     let document = document(&result, arguments);
-    terminal.document(&value, arguments.form.json, arguments.form.full, &document)?;
+    terminal.document(&value, arguments.form, &document)?;
     if result.accepted {
         return Ok(());
     }

@@ -15,12 +15,12 @@ use crate::runtime::failure::Failure;
 use crate::runtime::files::require_parquet;
 use crate::runtime::files::{load, read_text};
 use crate::runtime::opening::Tap;
-use crate::runtime::output::Terminal;
-use crate::runtime::rig::{MYSTERY, RigOptions};
+use crate::runtime::output::{Form, Terminal};
+use crate::runtime::rig::{MYSTERY, RigOptions, Switches};
 use crate::runtime::{opening, output};
 use crate::workflow::ProgressCell;
 use drivebench_bench::recording::{ColumnMap, LoadedRun, MissingValues, ReadOptions, resolved};
-use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port, Waivers};
+use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port};
 use drivebench_identify::sanity;
 use drivebench_link::{Framing, Protocol, RawClient, RawSettings, Target, standard_gap_s};
 use drivebench_model::sample::{Channel, Origin, Run, Side};
@@ -63,7 +63,6 @@ pub(super) struct FileArguments {
     /// a column (voltage_v=duty*bus_v) or sign(COLUMN), the sign of the last nonzero command, for a speed without sign
     /// (speed_rad_s=rpm*0.104719755*sign(duty)); a date and a clock in two columns are time_s=Date+Time
     #[arg(long, value_name = "MAP")]
-    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     map: Option<String>,
     #[command(flatten)]
     text: TextArguments,
@@ -101,7 +100,6 @@ pub(super) struct MapArguments {
     map_holdout: Option<String>,
     /// Where signals come from, as voltage_v=commanded,current_a=supply: measured, estimated, commanded; terminal, supply
     #[arg(long, value_name = "KEY=WORD,...")]
-    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     origin: Option<Provenance>,
 }
 
@@ -206,17 +204,6 @@ impl Provenance {
             run.set_side(channel, side);
         }
     }
-}
-
-/// How a command prints its result.
-#[derive(Args, Clone, Copy, Debug)]
-pub(super) struct Form {
-    /// Print the whole result; without it at most 100 columns and 30 lines
-    #[arg(long)]
-    pub(super) full: bool,
-    /// Print JSON
-    #[arg(long)]
-    pub(super) json: bool,
 }
 
 /// Fit run, hold-out and confirming run of a command, and the model that they judge.
@@ -437,10 +424,6 @@ pub(super) fn open_line(
 
 /// Options of every command that may energise a motor.
 #[derive(Args, Clone, Debug)]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "switches of a command line, each independent of the others"
-)]
 pub(super) struct LiveArguments {
     /// Bench file; without it the embedded one: the emulated ZK-22FC with a hidden effect
     pub(super) bench: Option<PathBuf>,
@@ -460,34 +443,11 @@ pub(super) struct LiveArguments {
     /// Hide an effect in the emulated motor, drawn from this seed; `commission` shows it at the end
     #[arg(long, value_name = "SEED", conflicts_with_all = ["emulator", "seed"])]
     mystery: Option<u64>,
-    /// Where run folders are made
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    out: PathBuf,
-    /// No screen and no question: progress on stderr, the result on stdout, and the motor starts once the checks have passed.
-    /// So too with --json, and where stdout is no terminal
-    #[arg(long)]
-    headless: bool,
-    /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
-    #[arg(long)]
-    hardware: bool,
     #[command(flatten)]
-    waive: Waive,
-    /// First clear a fault that the drive has latched, as after a killed host; then go on as without it: the motor turns
-    #[arg(long)]
-    reset_fault: bool,
-    /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
-    /// drive's watchdog time and 10 s; with a screen until Space, q or Ctrl-C ends the search
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
-    reopen_s: Option<f64>,
-    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
-    #[arg(long, value_name = "FILE")]
-    tap: Option<PathBuf>,
-    /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
-    #[arg(long)]
-    parquet: bool,
+    switches: Switches,
     /// Print the whole result; without it at most 100 columns and 30 lines
     #[arg(long)]
-    pub(super) full: bool,
+    full: bool,
     /// Print JSON; as with --headless there is no question before the motor starts
     #[arg(long)]
     pub(super) json: bool,
@@ -497,7 +457,11 @@ impl LiveArguments {
     /// Without a terminal, and for JSON, there is no screen.
     pub(super) fn is_headless(&self) -> bool {
         use std::io::IsTerminal;
-        self.headless || self.json || !std::io::stdout().is_terminal()
+        self.switches.headless || self.json || !std::io::stdout().is_terminal()
+    }
+
+    pub(super) const fn form(&self) -> Form {
+        Form { full: self.full, json: self.json }
     }
 
     pub(super) fn audience(&self, progress: Option<ProgressCell>) -> Audience {
@@ -509,21 +473,14 @@ impl LiveArguments {
         escalate: bool,
         terminal: &Terminal,
     ) -> Result<RigOptions, Failure> {
-        if self.parquet {
+        if self.switches.parquet {
             require_parquet()?;
         }
         Ok(RigOptions {
             bench: self.bench_file()?,
-            out: self.out.clone(),
-            headless: self.is_headless(),
-            hardware: self.hardware,
+            switches: Switches { headless: self.is_headless(), ..self.switches.clone() },
             escalate,
-            waivers: self.waive.waivers(),
-            reset_fault: self.reset_fault,
-            reopen_s: self.reopen_s,
-            tap: self.tap.clone(),
             mystery: self.mystery.is_some(),
-            parquet: self.parquet,
             words: self.words(),
             terminal: terminal.clone(),
         })
@@ -542,8 +499,8 @@ impl LiveArguments {
             option("emulator", self.emulator.clone()),
             option("seed", self.seed.map(|seed| seed.to_string())),
             option("mystery", self.mystery.map(|seed| seed.to_string())),
-            switch("headless", self.headless),
-            switch("hardware", self.hardware),
+            switch("headless", self.switches.headless),
+            switch("hardware", self.switches.hardware),
         ];
         given.into_iter().flatten().flat_map(|option| [" ".to_owned(), option]).collect()
     }
@@ -586,32 +543,6 @@ impl LiveArguments {
     }
 }
 
-/// Checks that may be waived, each by its own option. The waivers are recorded in the manifest, the log and the messages.
-#[derive(Args, Clone, Copy, Debug)]
-#[expect(clippy::struct_field_names, reason = "the names of the options")]
-struct Waive {
-    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
-    /// motor; the waiver is recorded
-    #[arg(long)]
-    waive_watchdog: bool,
-    /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded
-    #[arg(long)]
-    waive_direction: bool,
-    /// Go on although the pulse does not fit the nameplate; the waiver is recorded
-    #[arg(long)]
-    waive_plausibility: bool,
-}
-
-impl Waive {
-    const fn waivers(self) -> Waivers {
-        Waivers {
-            watchdog: self.waive_watchdog,
-            direction: self.waive_direction,
-            plausibility: self.waive_plausibility,
-        }
-    }
-}
-
 /// The value with this name.
 pub(super) fn by_name<T: Copy, const N: usize>(
     all: [T; N],
@@ -629,13 +560,6 @@ pub(super) fn shard(text: &str) -> Result<(u64, u64), String> {
         .and_then(|(part, of)| Some((part.parse().ok()?, of.parse().ok()?)))
         .filter(|(part, of)| (1..=*of).contains(part))
         .ok_or_else(|| "expected I/N with 1 <= I <= N, as 2/4".to_owned())
-}
-
-/// The time of `--reopen-s`.
-fn seconds(text: &str) -> Result<f64, String> {
-    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
-    let is_allowed = (0.0..=86_400.0).contains(&seconds);
-    is_allowed.then_some(seconds).ok_or_else(|| "allowed: 0 (off) to 86400 s".to_owned())
 }
 
 /// Option of the commands that can identify an unknown motor.

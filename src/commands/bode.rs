@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{Form, MapArguments, by_name, run_path};
+use crate::commands::arguments::{MapArguments, by_name, run_path};
 use crate::commands::by_hand::show_response;
 use crate::commands::evidence::{cautions, name_voltage};
 use crate::commands::view::needs_terminal;
@@ -13,8 +13,7 @@ use crate::report::plot::standalone;
 use crate::report::{Bars, Document, Tone, response_chart};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::read_model;
-use crate::runtime::output::quoted;
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::output::{self, Form, Terminal, quoted, quoted_word};
 use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
 use drivebench_identify::frequency_response::{
     CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,
@@ -38,7 +37,7 @@ pub(super) struct Arguments {
     #[arg(long, value_parser = run_path())]
     model: Option<PathBuf>,
     /// voltage-to-speed, voltage-to-current or current-to-speed; without it current-to-speed if it has a resonance, else the first with sufficient coherence
-    #[arg(long, value_parser = pathway)]
+    #[arg(long, value_parser = |text: &str| by_name(Pathway::ALL, Pathway::key, text))]
     pathway: Option<Pathway>,
     #[command(flatten)]
     map: MapArguments,
@@ -53,10 +52,6 @@ pub(super) struct Arguments {
     screen: bool,
     #[command(flatten)]
     form: Form,
-}
-
-fn pathway(text: &str) -> Result<Pathway, String> {
-    by_name(Pathway::ALL, Pathway::key, text)
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
@@ -81,12 +76,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if arguments.screen {
         show_response(found.title(), found.compared.clone(), Some(pathway), terminal)?;
     }
-    terminal.document(
-        &found,
-        arguments.form.json,
-        arguments.form.full,
-        &found.document(pathway),
-    )?;
+    terminal.document(&found, arguments.form, &found.document(pathway, arguments))?;
     found.check()
 }
 
@@ -99,16 +89,6 @@ pub(crate) struct Bode {
     #[serde(flatten)]
     pub(crate) compared: Compared,
     notes: Vec<String>,
-    #[serde(skip)]
-    go_on: NextOptions,
-}
-
-/// Options of the next commands.
-#[derive(Default)]
-struct NextOptions {
-    run: String,
-    model: Option<String>,
-    map_words: String,
 }
 
 impl Bode {
@@ -143,11 +123,6 @@ impl Bode {
         compared.measured.cautions.extend(of_runs);
         Ok(Self {
             runs: loaded.iter().map(|loaded| loaded.run.name.clone()).collect(),
-            go_on: NextOptions {
-                run: arguments.runs.first().map_or_else(String::new, |run| quoted(run)),
-                model: model_from.as_deref().map(quoted),
-                map_words: arguments.map.words(),
-            },
             model_from: model_from.map(|path| path.display().to_string()),
             compared,
             notes,
@@ -189,7 +164,7 @@ impl Bode {
         ))
     }
 
-    fn document(&self, pathway: Pathway) -> Document {
+    fn document(&self, pathway: Pathway, arguments: &Arguments) -> Document {
         let measured = &self.compared.measured;
         let Some(own) = measured.of(pathway) else {
             return Document::of(Tone::Plain, "nothing", "was measured");
@@ -209,7 +184,7 @@ impl Bode {
             let unit = format!("magnitude, dB of 1 {}, where it is carried", own.unit);
             document.bars("", Bars::new(bars, unit));
         }
-        self.go_on(&mut document, bands.is_empty());
+        self.go_on(&mut document, bands.is_empty(), arguments);
         document
     }
 
@@ -348,24 +323,24 @@ impl Bode {
         bars.collect()
     }
 
-    fn go_on(&self, document: &mut Document, is_empty: bool) {
-        let NextOptions { run, model, map_words } = &self.go_on;
+    fn go_on(&self, document: &mut Document, is_empty: bool, arguments: &Arguments) {
+        let (run, map) = (quoted(&arguments.runs[0]), arguments.map.words());
         if is_empty {
             document.say("record", [CHIRP], 1);
             document.go_on("drivebench run BENCH.toml");
             return;
         }
-        match model {
+        match self.model_from.as_deref().map(quoted_word) {
             Some(model) if !self.compared.missing_resonances().is_empty() => document.go_on(format!(
-                "drivebench add elastic_coupling --model {model} --run {run}{map_words} --output model2.toml"
+                "drivebench add elastic_coupling --model {model} --run {run}{map} --output model2.toml"
             )),
             Some(model) if self.compared.departures.is_empty() => {
                 document.go_on(format!("drivebench tune --model {model}"));
             }
-            Some(model) => document.go_on(format!(
-                "drivebench diagnose {run} --model {model}{map_words}"
-            )),
-            None => document.go_on(format!("drivebench diagnose {run}{map_words}")),
+            Some(model) => {
+                document.go_on(format!("drivebench diagnose {run} --model {model}{map}"));
+            }
+            None => document.go_on(format!("drivebench diagnose {run}{map}")),
         }
     }
 

@@ -15,7 +15,7 @@ use crate::report::{Document, wording};
 use crate::runtime::ending::{ScreenEnd, ScreenReturn, spawn, watched};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{Recorded, load, model_file};
-use crate::runtime::output::{Terminal, quoted_word};
+use crate::runtime::output::{Form, Terminal, quoted_word};
 use crate::runtime::signals;
 use crate::tui::{
     self, Appearance, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen,
@@ -148,40 +148,38 @@ pub(super) fn finish<T: Serialize>(
     recorded: &Recorded,
     result: &T,
     mut document: Document,
-    (json, full): (bool, bool),
+    form: Form,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     let diagnosed = go_on(&screen, recorded.folder.path(), terminal);
     if let Ok(Some(model)) = &diagnosed {
         document.go_on(format!("drivebench tune --model {}", quoted_word(model)));
     }
-    terminal.document(result, json, full, &document)?;
+    terminal.document(result, form, &document)?;
     screen.conclude(recorded.failure()).and(diagnosed.map(drop))
 }
 
 fn show_run(folder: &Path, opens: Opens, terminal: &Terminal) -> Result<Closed, Failure> {
-    let files = EvidenceFiles {
-        terminal,
-        run: folder,
-        model: None,
-        holdout: None,
-        confirm: None,
-        later: &[],
-        for_screen: true,
-    };
+    let files = EvidenceFiles { for_screen: true, ..EvidenceFiles::of(folder, terminal) };
     let prepared =
         prepare(files, |path, _| load(path, ReadOptions::default(), terminal), Judging::Refits)?;
-    show_prepared(&prepared, prepared.about.title.clone(), opens, terminal)
+    let target = RecommendationBench::of(None, &prepared, terminal)?;
+    show_prepared(&prepared, &target, opens, None, terminal)
 }
 
-/// Shows a model beside its runs until the screen is left; from there a person may search for missing effects.
+/// Shows a model beside its runs until the screen is left; from there a person may search for missing effects, and write the
+/// model to `output`.
 pub(super) fn show_prepared(
     prepared: &Prepared,
-    title: String,
+    target: &RecommendationBench,
     opens: Opens,
+    output: Option<&Path>,
     terminal: &Terminal,
 ) -> Result<Closed, Failure> {
-    let target = RecommendationBench::of(None, prepared, terminal)?;
+    let title = match opens {
+        Opens::Comparison(_) => format!("{}; model: {}", prepared.about.title, prepared.model.from),
+        _ => prepared.about.title.clone(),
+    };
     let discovery = Discovery::new(prepared.model.file.model.clone(), prepared.evidence.clone())
         .with_recorded(prepared.recorded.clone())
         .with_limits(target.limits());
@@ -191,7 +189,7 @@ pub(super) fn show_prepared(
         stopped_at: pages::stopped_at(prepared),
         fitted_on: prepared.run.run.name.clone(),
         history: prepared.model.file.history.clone(),
-        output: None,
+        output: output.map(Path::to_owned),
     };
     show(discovery, shown, terminal)
 }

@@ -31,7 +31,7 @@ use crate::runtime::ending::{Audience, ScreenEnd, conduct};
 use crate::runtime::failure::{Failure, USAGE};
 use crate::runtime::files::{Recorded, model_file, read_text};
 use crate::runtime::output::{Terminal, quoted};
-use crate::runtime::rig::{OpenRig, Rig, RigOptions};
+use crate::runtime::rig::{OpenRig, Rig, RigOptions, Switches};
 use crate::runtime::signals;
 use crate::tui::{Exit, Opens};
 use crate::workflow::{
@@ -84,7 +84,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let outcome = follow(&mut done, &mut results, screen, &options, &source);
     // The result of the commissioning is printed however its screen was left.
     done.document.say("then", results, 4);
-    terminal.document(&done.result, live.json, live.full, &done.document)?;
+    terminal.document(&done.result, live.form(), &done.document)?;
     outcome
 }
 
@@ -222,7 +222,7 @@ fn step(
     let runs = rig.bench.runs;
     match workflow.task() {
         Task::Check => {
-            let report = rig.check(controls);
+            let report = rig.check(controls, false);
             if let (Some(identity), Err(_)) = (&rig.answered, &report) {
                 workflow.answered(&identity.name());
             }
@@ -293,8 +293,11 @@ fn step(
         Task::Analyse => {
             // Nothing is energised and everything recorded is on the disk. With a screen, the screen handles the signals.
             let terminal = &rig.options.terminal;
-            let _endable =
-                if rig.options.headless { terminal.endable()? } else { terminal.leavable() };
+            let _endable = if rig.options.switches.headless {
+                terminal.endable()?
+            } else {
+                terminal.leavable()
+            };
             workflow.analyse(|now| publish(&now), &|event| terminal.diagnosis(event))?;
         }
         Task::Save => {
@@ -397,7 +400,8 @@ fn conclude_run(screen: ScreenEnd, run: Option<Failure>) -> Result<(), Failure> 
 
 /// The options for another rig, without what is done once: escalation, fault reset, capture file.
 fn options_again(options: &RigOptions) -> RigOptions {
-    RigOptions { escalate: false, reset_fault: false, tap: None, ..options.clone() }
+    let switches = Switches { reset_fault: false, tap: None, ..options.switches.clone() };
+    RigOptions { escalate: false, switches, ..options.clone() }
 }
 
 /// Result of a diagnosis by hand: the changes, and the diagnosis after them.

@@ -4,15 +4,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{EvidenceArguments, Form, MoreRuns, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
 use crate::report::wording::{json, location, versus as words};
 use crate::report::{Document, SignalFigures, Table, Tone};
 use crate::runtime::failure::{Failure, REFUSED, USAGE};
 use crate::runtime::files::read_model;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Form, Terminal};
 use crate::runtime::progress::ProgressLine;
 use drivebench_diagnose::{
     Comparison, HoldoutFrom, SignalVersus, Undecided, Versus, compare, versus,
@@ -104,7 +103,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let undecided = comparison.undecided();
     value["undecided"] = undecided.as_ref().map(location::undecided).into();
     value["undecided_code"] = undecided.as_ref().map(Undecided::code).into();
-    terminal.document(&value, arguments.form.json, arguments.form.full, &document)?;
+    terminal.document(&value, arguments.form, &document)?;
     check_fit(&comparison, arguments.min_fit)
 }
 
@@ -125,7 +124,7 @@ fn both(
         (arguments.evidence).prepare(&arguments.run, Some(first), judging, false, terminal)?;
     let result = VersusResult::of(&prepared, second, &arguments.run, terminal)?;
     drop(shown);
-    terminal.document(&result, arguments.form.json, arguments.form.full, &result.document())
+    terminal.document(&result, arguments.form, &result.document())
 }
 
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {

@@ -2,19 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::commands::arguments::{EvidenceArguments, Form, MoreRuns, model_words, run_path};
-use crate::commands::by_hand;
-use crate::commands::by_hand::Shown;
-use crate::commands::evidence::Judging;
-use crate::commands::evidence::RecommendationBench;
-use crate::commands::{pages, view};
+use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::evidence::{Judging, RecommendationBench};
+use crate::commands::{by_hand, pages, view};
 use crate::report::Document;
 use crate::report::wording::json;
 use crate::runtime::failure::Failure;
-use crate::runtime::output;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{self, Form, Terminal};
 use crate::tui::Opens;
-use crate::workflow::Discovery;
 use drivebench_diagnose::{Diagnosis, DiagnosisVerdict, diagnose_with};
 use drivebench_model::plant::effect::Axis;
 
@@ -94,25 +89,12 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         output::refuse_existing(path, "--next-bench")?;
     }
     let target = RecommendationBench::of(arguments.bench.as_deref(), &prepared, terminal)?;
-    let original = prepared.model.file.model.clone();
-    let evidence = prepared.evidence.clone();
-    let (mut by_hand, mut written) = (String::new(), None);
-    let mut known_next = None;
+    let (mut by_hand, mut written, mut known_next) = (String::new(), None, None);
     let mut diagnosis = if on_screen.screen {
         // From here on the screen uses the terminal and handles the signals.
         drop(attended.take());
-        let shown = Shown {
-            title: prepared.about.title.clone(),
-            opens: Opens::Search,
-            stopped_at: pages::stopped_at(&prepared),
-            fitted_on: prepared.run.run.name.clone(),
-            history: prepared.model.file.history.clone(),
-            output: on_screen.output.clone(),
-        };
-        let discovery = Discovery::new(original, evidence)
-            .with_limits(target.limits())
-            .with_recorded(prepared.recorded.clone());
-        let closed = by_hand::show(discovery, shown, terminal)?;
+        let output = on_screen.output.as_deref();
+        let closed = by_hand::show_prepared(&prepared, &target, Opens::Search, output, terminal)?;
         attended = Some((terminal.endable()?, terminal.progress("diagnose")));
         // Checked only now: from here on a signal ends the program.
         let result = closed.left("interrupted")?;
@@ -122,7 +104,8 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let no_answer = || Failure::interrupted("left before the diagnosis was done");
         result.diagnosis.ok_or_else(no_answer)?
     } else {
-        diagnose_with(&original, evidence, &|event| terminal.diagnosis(event))?
+        let (model, evidence) = (&prepared.model.file.model, prepared.evidence.clone());
+        diagnose_with(model, evidence, &|event| terminal.diagnosis(event))?
     };
     if let Some(next) = known_next {
         target.take_over(&mut diagnosis, next);
@@ -134,12 +117,12 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(path) = &arguments.next_bench {
         target.write(path, &diagnosis, &after_new_run(arguments), terminal)?;
     }
-    let Form { json, full } = arguments.form;
-    if json && arguments.html.is_none() {
-        let result = prepared.result(&json::diagnosis(&diagnosis));
-        return terminal.unfolded(&result, json, |_| String::new());
+    let form = arguments.form;
+    let result = prepared.result(&json::diagnosis(&diagnosis));
+    if form.json && arguments.html.is_none() {
+        return terminal.unfolded(&result, true, |_| String::new());
     }
-    let is_whole = arguments.html.is_some() || full;
+    let is_whole = arguments.html.is_some() || form.full;
     let mut document = pages::diagnosis(&prepared, &diagnosis, is_whole)?;
     if let Some(path) = &arguments.html {
         pages::write(path, &document.html(), terminal)?;
@@ -158,7 +141,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
         document.go_on(format!("drivebench diagnose {run}{words} --screen"));
     }
-    terminal.document(&prepared.result(&json::diagnosis(&diagnosis)), json, full, &document)
+    terminal.document(&result, form, &document)
 }
 
 /// The same diagnosis with the run that was recommended, once it is made.

@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use crate::report::{Document, Tone, card_facts};
 use crate::runtime::failure::Failure;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{Form, Terminal};
 use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::{Card, Enters, Measure, ParameterRole, ParameterSpec, effect};
 use drivebench_model::text::lines::wrapped;
@@ -25,7 +25,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let chosen = chosen(arguments.id.as_deref())?;
     let value: Value = chosen.iter().map(|entry| card_json(*entry)).collect();
     if arguments.id.is_some() {
-        return terminal.document(&value, arguments.json, true, &card_document(chosen[0]));
+        return terminal.document(&value, Form::full(arguments.json), &card_document(chosen[0]));
     }
     terminal.result(&value, arguments.json, |_| list_text(&chosen))
 }
@@ -40,15 +40,19 @@ fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
     let defined = effect::FAMILIES.iter().map(|card| (*card, &[][..]));
     let mut chosen: Vec<Entry> = catalogue.chain(defined).collect();
     if let Some(id) = id {
-        let known: Vec<&str> = chosen.iter().map(|(card, _)| card.id).collect();
-        let help = help_for_unknown(id, known.iter().copied());
         chosen.retain(|(card, _)| card.id == id);
         if chosen.is_empty() {
-            let headline = format!("effect {id:?} is not in the catalogue");
-            return Err(Failure::usage(headline, help));
+            return Err(unknown_effect(id));
         }
     }
     Ok(chosen)
+}
+
+pub(super) fn unknown_effect(id: &str) -> Failure {
+    let families = effect::FAMILIES.iter().map(|card| card.id);
+    let effects = effect::CATALOGUE.iter().map(|effect| effect.card().id);
+    let help = help_for_unknown(id, effects.chain(families));
+    Failure::usage(format!("effect {id:?} is not in the catalogue"), help)
 }
 
 fn card_json((card, parameters): Entry) -> Value {

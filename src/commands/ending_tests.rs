@@ -12,9 +12,9 @@ use crate::runtime::ending::{Ended, ScreenEnd, ScreenReturn, alone, watched, wit
 use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
 use crate::runtime::files::Recorded;
 use crate::runtime::output::Terminal;
-use crate::runtime::rig::{OpenRig, Rig, RigOptions};
+use crate::runtime::rig::{OpenRig, Rig, RigOptions, Switches};
 use crate::tui::Exit;
-use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock, Waivers};
+use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock};
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};
 use drivebench_link::offer::Purpose;
 use drivebench_link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics};
@@ -106,16 +106,9 @@ impl VirtualBench {
         let bench = BenchFile::parse("bench.toml", &format!("{head}{SEQUENCE}")).unwrap();
         RigOptions {
             bench,
-            out: self.runs(),
-            headless: true,
-            hardware: false,
+            switches: Switches { out: self.runs(), headless: true, ..Switches::default() },
             escalate: false,
-            waivers: Waivers::default(),
-            reset_fault: false,
-            reopen_s: None,
-            tap: None,
             mystery: false,
-            parquet: false,
             words: String::new(),
             terminal: Terminal::default(),
         }
@@ -340,7 +333,7 @@ fn a_later_run_finishes_without_a_disk() {
     let bench = VirtualBench::new();
     let (controls, _ends) = Controls::new(SnapshotCell::default());
     let mut rig = bench.rig();
-    rig.check(&controls).unwrap();
+    rig.check(&controls, false).unwrap();
     let first = rig.record("one", 1, &controls).unwrap();
     assert!(first.failure().is_none());
     std::fs::remove_dir_all(bench.runs()).unwrap();

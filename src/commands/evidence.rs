@@ -53,6 +53,14 @@ pub(crate) struct EvidenceFiles<'a> {
     pub(crate) for_screen: bool,
 }
 
+impl<'a> EvidenceFiles<'a> {
+    /// One run alone, with its own model.
+    pub(crate) const fn of(run: &'a Path, terminal: &'a Terminal) -> Self {
+        let (model, holdout, confirm) = (None, None, None);
+        Self { terminal, run, model, holdout, confirm, later: &[], for_screen: false }
+    }
+}
+
 /// How a command uses the model that it judges.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Judging {

@@ -35,7 +35,7 @@ pub(super) struct Arguments {
     run: Vec<PathBuf>,
     /// friction (over the speed, both directions) or cogging (over a turn): measured from the torque balance of the runs
     /// with Kt and J of the model, not with the friction or cogging of the model; a bin without data is empty
-    #[arg(long, value_name = "TORQUE", value_parser = torque, requires = "run", requires = "model")]
+    #[arg(long, value_name = "TORQUE", value_parser = |text: &str| by_name(MappedTorque::ALL, MappedTorque::name, text), requires = "run", requires = "model")]
     torque_map: Option<MappedTorque>,
     #[command(flatten)]
     map: MapArguments,
@@ -69,10 +69,6 @@ enum Format {
     Csv,
     /// The run as columns, for pandas and others; in programs that were built with the feature parquet
     Parquet,
-}
-
-fn torque(text: &str) -> Result<MappedTorque, String> {
-    by_name(MappedTorque::ALL, MappedTorque::name, text)
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {

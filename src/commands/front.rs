@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
+use crate::runtime::files::names_in;
 use drivebench_bench::BenchFile;
 use drivebench_bench::recording::{LATEST, RunFile, read_text};
 use drivebench_model::plant::ModelFile;
@@ -63,7 +64,7 @@ pub(crate) fn page(folder: &Path) -> String {
 impl Found {
     fn of(folder: &Path) -> Self {
         let mut found = Self::default();
-        for name in names(folder) {
+        for name in names_in(folder) {
             if Path::new(&name).extension().is_none_or(|ending| ending != "toml") {
                 continue;
             }
@@ -77,7 +78,7 @@ impl Found {
             }
         }
         let runs = folder.join("runs");
-        for name in names(&runs) {
+        for name in names_in(&runs) {
             let path = runs.join(&name);
             let Ok(manifest) = read_text(&path.join(RunFile::Manifest.name())) else {
                 continue;
@@ -206,15 +207,6 @@ fn effects_of(name: &str, text: &str) -> Option<Vec<String>> {
     let file = ModelFile::parse(name, text).ok().filter(|_| has_motor)?;
     let ids = file.model.effect_ids().into_iter();
     Some(ids.map(str::to_owned).collect())
-}
-
-/// Names in a folder, sorted.
-fn names(folder: &Path) -> Vec<String> {
-    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
-    let mut names: Vec<String> =
-        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
 }
 
 #[cfg(test)]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
-use crate::commands::arguments::{Form, MapArguments, model_words, run_path};
+use crate::commands::arguments::{MapArguments, model_words, run_path};
 use crate::commands::cards;
 use crate::commands::evidence::{before_identify, model, name_voltage, signals};
 use crate::report::conventions;
@@ -15,7 +15,7 @@ use crate::report::wording::change::along;
 use crate::report::wording::{json, record, sanity as words};
 use crate::runtime::failure::{Failure, NOT_IDENTIFIABLE, USAGE};
 use crate::runtime::files::read_text;
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::output::{self, Form, Terminal};
 use drivebench_bench::MotorSection;
 use drivebench_bench::recording::LoadedRun;
 use drivebench_diagnose::known_along;
@@ -176,7 +176,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let model = arguments.output.as_deref().or(arguments.model.as_deref());
     let (model, map) = (model_words(model), arguments.map.words());
     document.go_on(format!("drivebench diagnose {run}{model}{map}"));
-    terminal.document(&json_of(&answer), arguments.form.json, arguments.form.full, &document)?;
+    terminal.document(&json_of(&answer), arguments.form, &document)?;
     if let Some(path) = &arguments.output {
         answer.write(path, file, terminal)?;
     }

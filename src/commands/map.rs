@@ -7,7 +7,7 @@ use crate::commands::arguments::TextArguments;
 use crate::report::wording::{columns, json, sanity};
 use crate::report::{Document, Tone};
 use crate::runtime::failure::{Failure, REFUSED};
-use crate::runtime::output::{Terminal, quoted, quoted_word};
+use crate::runtime::output::{Form, Terminal, quoted, quoted_word};
 use drivebench_bench::column_proposal::{
     Confidence, Item, Proposal, known_headers, numbers, propose,
 };
@@ -24,7 +24,6 @@ pub(super) struct Arguments {
     file: PathBuf,
     /// Numbers that the file does not contain, as the map names them: POLE_PAIRS=7,SUPPLY_V=24
     #[arg(long, value_name = "NAME=VALUE,...", value_parser = given_numbers)]
-    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     number: Option<Given>,
     #[command(flatten)]
     text: TextArguments,
@@ -61,7 +60,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     value["rows"] = found.rows.into();
     value["lines_before_headers"] = found.lines_before.into();
     let document = document(arguments, &found, &proposal);
-    terminal.document(&value, arguments.json, true, &document)?;
+    terminal.document(&value, Form::full(arguments.json), &document)?;
     if proposal.is_own || proposal.is_settled() {
         return Ok(());
     }

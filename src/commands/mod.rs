@@ -4,6 +4,12 @@
 //! arguments -> order of work (runtime: rig, files, every way out) -> document or JSON -> exit status
 //! ```
 
+#![expect(
+    clippy::struct_excessive_bools,
+    clippy::doc_markdown,
+    reason = "switches of a command line; the help in a terminal shows backticks as they are"
+)]
+
 mod add;
 mod analyse;
 mod arguments;
@@ -71,7 +77,6 @@ struct Arguments {
     command: Option<Command>,
     /// Colours of screens: the terminal's sixteen, those for a white background, or none (as with NO_COLOR)
     #[arg(long, global = true, value_enum, value_name = "THEME")]
-    #[expect(clippy::doc_markdown, reason = "the help in a terminal shows backticks as they are")]
     theme: Option<Theme>,
     /// Screens take the mouse: the wheel zooms traces and scrolls, a click selects; text is then selected with Shift held
     #[arg(long, global = true)]

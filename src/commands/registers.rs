@@ -209,10 +209,6 @@ fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
 
 A register of a drive may start a motor. A write is never repeated by itself: when its reply is lost, what the unit
 holds is read and shown. --hardware is needed with --yes for anything that does not identify itself as our emulator.")]
-#[expect(
-    clippy::struct_excessive_bools,
-    reason = "switches of a command line, each independent of the others"
-)]
 struct WriteArguments {
     /// Protocol address of the first register, from 0; or as manuals count: 4x1, 400001
     #[arg(value_parser = Address::parse)]

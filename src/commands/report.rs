@@ -11,7 +11,7 @@ use crate::commands::{identify, pages};
 use crate::report::{Document, EarlyEnd, RunReport, Tone, plot};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{estimates, read_text};
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::output::{self, Form, Terminal};
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile, RunFolder};
 use drivebench_bench::{BenchFile, LastSeconds, Stop};
 use drivebench_model::plant::Model;
@@ -50,7 +50,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if arguments.markdown {
         return terminal.unfolded(&done, arguments.json, |done| done.markdown.clone());
     }
-    terminal.document(&done, arguments.json, true, &done.document())
+    terminal.document(&done, Form::full(arguments.json), &done.document())
 }
 
 #[derive(Default, Serialize)]

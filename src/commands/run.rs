@@ -14,7 +14,7 @@ use crate::runtime::controls::Controls;
 use crate::runtime::ending::{Audience, conduct};
 use crate::runtime::failure::{Failure, LINK, NOT_IDENTIFIABLE};
 use crate::runtime::files::Recorded;
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{Form, Terminal};
 use crate::runtime::rig::{OpenRig, Rig, RigOptions};
 use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
 use drivebench_bench::recording::RunFile;
@@ -57,7 +57,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let mut options = live.options(arguments.unknown.escalate, terminal)?;
     if arguments.check {
         // Without a screen, whatever stdout is: there is nothing to watch.
-        options.headless = true;
+        options.switches.headless = true;
         let done = conduct(terminal, Audience::Headless, move |controls| {
             connect(options, run_seed, Box::new(Rig::open), controls)
         })?;
@@ -71,14 +71,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
             let mut document = Document::new("", "");
             escalation.put("motor", &mut document);
             tables::nameplate_section(&mut document, escalation.nameplate.as_ref());
-            terminal.document(escalation.as_ref(), live.json, true, &document)?;
+            terminal.document(escalation.as_ref(), Form::full(live.json), &document)?;
             done.screen.conclude(escalation_failure(escalation))
         }
         RunDone::Run(whole) => {
             let result = run_result(whole);
             let document = cards::run(whole, result.nameplate.as_ref());
-            let form = (live.json, live.full);
-            by_hand::finish(done.screen, &whole.recorded, &result, document, form, terminal)
+            by_hand::finish(done.screen, &whole.recorded, &result, document, live.form(), terminal)
         }
     }
 }
@@ -135,8 +134,8 @@ pub(crate) fn run(
 ) -> Result<RunDone, Failure> {
     let purpose = options.bench.purpose();
     let mut rig = open(options, run_seed, purpose)?;
-    let printed = rig.options.headless.then(|| rig.options.terminal.clone());
-    let report = rig.check(controls)?;
+    let printed = rig.options.switches.headless.then(|| rig.options.terminal.clone());
+    let report = rig.check(controls, false)?;
     if let Some(terminal) = &printed {
         print_checks(&report, terminal);
     }
@@ -201,7 +200,7 @@ fn connect(
 ) -> Result<Connection, Failure> {
     let purpose = options.bench.purpose();
     let mut rig = open(options, run_seed, purpose)?;
-    let checks = rig.check_at_rest(controls)?;
+    let checks = rig.check(controls, true)?;
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
     let is_known = rig.bench.nameplate().is_some();
     let plan = is_known.then(|| rig.plan(seed)).transpose()?;

@@ -56,31 +56,19 @@ pub(crate) struct LoopArguments {
     #[arg(long, value_name = "MODEL")]
     pub(crate) model: Option<PathBuf>,
     /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
-    #[arg(long, value_name = "CONTROLLER", value_parser = controller)]
+    #[arg(long, value_name = "CONTROLLER", value_parser = |text: &str| by_name(ControllerKind::ALL, ControllerKind::id, text))]
     pub(crate) controller: Option<ControllerKind>,
     /// off, on, or compare: the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
     /// loop; compare follows the reference twice, without and with it, and shows both tracking errors. Overrides the bench file
-    #[arg(long, value_name = "USE", value_parser = forward_use)]
+    #[arg(long, value_name = "USE", value_parser = |text: &str| by_name(ForwardUse::ALL, ForwardUse::name, text))]
     pub(crate) feed_forward: Option<ForwardUse>,
     /// Friction or cogging as measured (`export --torque-map`, CSV), instead of the model's wherever it has a value; at most
     /// one of each
     #[arg(long, value_name = "MAP.csv")]
     pub(crate) feed_forward_map: Vec<PathBuf>,
     /// voltage, current or speed: the quantity that is commanded; overrides the bench file
-    #[arg(long, value_name = "QUANTITY", value_parser = actuator)]
+    #[arg(long, value_name = "QUANTITY", value_parser = |text: &str| by_name(Actuator::ALL, Actuator::name, text))]
     pub(crate) actuator: Option<Actuator>,
-}
-
-fn controller(text: &str) -> Result<ControllerKind, String> {
-    by_name(ControllerKind::ALL, ControllerKind::id, text)
-}
-
-fn forward_use(text: &str) -> Result<ForwardUse, String> {
-    by_name(ForwardUse::ALL, ForwardUse::name, text)
-}
-
-fn actuator(text: &str) -> Result<Actuator, String> {
-    by_name(Actuator::ALL, Actuator::name, text)
 }
 
 pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), Failure> {
@@ -91,7 +79,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
         ));
     }
     let live = &arguments.live;
-    let form = (live.json, live.full);
+    let form = live.form();
     let options = live.words();
     let request = SpeedRequest {
         rig: live.options(false, terminal)?,
@@ -289,7 +277,7 @@ pub(crate) fn speed(
     parts.regulator(parts.period_s, LEAST_NOISE_RAD_S)?;
     let mut rig = open(request.rig, None, Purpose::SpeedLoop)?;
     rig.bench.speed = Some(parts.section.clone());
-    let report = rig.check(controls)?;
+    let report = rig.check(controls, false)?;
     let delay = rig.measure_delay(controls)?;
     let delay_s = delay.map_or(parts.period_s, |delay| delay.median_s);
     let mut regulator = parts.regulator(delay_s, noise(&report))?;
@@ -305,7 +293,7 @@ pub(crate) fn speed(
     }
     regulator.reasons.extend(unchecked_encoder(&report, parts.actuator));
     regulator.reasons.extend(converter(&parts.limits));
-    if rig.options.headless {
+    if rig.options.switches.headless {
         let by_nameplate = request.own.model.is_none();
         print_loop(&report, delay.as_ref(), &regulator, by_nameplate, &rig.options.terminal);
     }

@@ -6,11 +6,10 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::commands::arguments::Form;
 use crate::report::{Bars, Document, Tone};
 use crate::runtime::failure::Failure;
 use crate::runtime::files::{read_model, read_text, speed_command};
-use crate::runtime::output::Terminal;
+use crate::runtime::output::{Form, Terminal};
 use drivebench_control::tuning::{NotchUse, Request, Rule, Tuning, TuningError, tune_over};
 use drivebench_control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,
@@ -79,8 +78,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         notch: NotchUse::unless(arguments.no_notch),
     };
     let result = TuneResult::of(&file, &timing, &request)?;
-    let Form { json, full } = arguments.form;
-    terminal.document(&result, json, full, &result.document(&arguments.model))
+    terminal.document(&result, arguments.form, &result.document(&arguments.model))
 }
 
 fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {

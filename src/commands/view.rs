@@ -4,9 +4,8 @@ use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
 use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
-use crate::commands::by_hand;
-use crate::commands::by_hand::ScreenResult;
-use crate::commands::evidence::{Judging, Prepared};
+use crate::commands::by_hand::{self, ScreenResult};
+use crate::commands::evidence::{Judging, Prepared, RecommendationBench};
 use crate::report::wording::diagnosis as words;
 use crate::runtime::failure::Failure;
 use crate::runtime::output::{self, Terminal};
@@ -65,7 +64,7 @@ pub(crate) fn show(
     error_of: ErrorOf,
     terminal: &Terminal,
 ) -> Result<ScreenResult, Failure> {
-    let title = format!("{}; model: {}", prepared.about.title, prepared.model.from);
+    let target = RecommendationBench::of(None, prepared, terminal)?;
     let opens = Opens::Comparison(error_of);
-    by_hand::show_prepared(prepared, title, opens, terminal)?.left("interrupted")
+    by_hand::show_prepared(prepared, &target, opens, None, terminal)?.left("interrupted")
 }

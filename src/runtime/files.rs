@@ -107,6 +107,16 @@ pub(crate) fn read_text(path: &Path) -> Result<String, Failure> {
     recording::read_text(path).map_err(|error| Failure::usage(cannot(error), read_help(path)))
 }
 
+/// The names in a folder, sorted; of an empty path those in the present folder.
+pub(crate) fn names_in(folder: &Path) -> Vec<String> {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
 /// Help for a path that cannot be read as a text file.
 fn read_help(path: &Path) -> String {
     let model = RunFolder::existing(path).file(RunFile::Model);

@@ -37,6 +37,24 @@ struct Streams {
     appearance: OnceLock<Appearance>,
 }
 
+/// How a command prints its result.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(crate) struct Form {
+    /// Print the whole result; without it at most 100 columns and 30 lines
+    #[arg(long)]
+    pub(crate) full: bool,
+    /// Print JSON
+    #[arg(long)]
+    pub(crate) json: bool,
+}
+
+impl Form {
+    /// All of a result that has no card.
+    pub(crate) const fn full(json: bool) -> Self {
+        Self { full: true, json }
+    }
+}
+
 /// The messages on stderr, those that wait, and the progress line.
 #[derive(Debug, Default)]
 pub(super) struct Messages {
@@ -210,12 +228,11 @@ impl Terminal {
     pub(crate) fn document<T: Serialize>(
         &self,
         value: &T,
-        json: bool,
-        full: bool,
+        form: Form,
         document: &Document,
     ) -> Result<(), Failure> {
-        self.unfolded(value, json, |_| {
-            if full {
+        self.unfolded(value, form.json, |_| {
+            if form.full {
                 let rows = document.full(columns());
                 rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
             } else {

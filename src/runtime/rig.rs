@@ -9,6 +9,8 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use clap::Args;
+
 use crate::runtime::controls::{Controls, DriveCell, DrivePower};
 use crate::runtime::failure::{Failure, LINK, USAGE};
 use crate::runtime::files::Recorded;
@@ -41,32 +43,81 @@ use drivebench_model::sample::{Channel, Origin};
 /// The name of the emulator's configuration in a bench file that hides it.
 pub(crate) const MYSTERY: &str = "mystery";
 
-/// Options of a rig.
-#[derive(Clone, Debug)]
+/// Switches of every command that may energise a motor.
+#[derive(Args, Clone, Debug, Default)]
 #[expect(
     clippy::struct_excessive_bools,
     reason = "switches of a command line, each independent of the others"
 )]
+pub(crate) struct Switches {
+    /// Where run folders are made
+    #[arg(long, value_name = "DIR", default_value = "runs")]
+    pub out: PathBuf,
+    /// No screen and no question: progress on stderr, the result on stdout, and the motor starts once the checks have passed.
+    /// So too with --json, and where stdout is no terminal
+    #[arg(long)]
+    pub headless: bool,
+    /// The drive is real and its shaft may turn: needed without a screen, and for the pulse of the checks
+    #[arg(long)]
+    pub hardware: bool,
+    #[command(flatten)]
+    pub waive: Waive,
+    /// First clear a fault that the drive has latched, as after a killed host; then go on as without it: the motor turns
+    #[arg(long)]
+    pub reset_fault: bool,
+    /// After a lost link: how long to look for the drive and bring it to rest, 0 (not at all) to 86400. Without it: the
+    /// drive's watchdog time and 10 s; with a screen until Space, q or Ctrl-C ends the search
+    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    pub reopen_s: Option<f64>,
+    /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
+    #[arg(long, value_name = "FILE")]
+    pub tap: Option<PathBuf>,
+    /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
+    #[arg(long)]
+    pub parquet: bool,
+}
+
+/// Checks that may be waived, each by its own option. The waivers are recorded in the manifest, the log and the messages.
+#[derive(Args, Clone, Copy, Debug, Default)]
+#[expect(clippy::struct_field_names, reason = "the names of the options")]
+pub(crate) struct Waive {
+    /// Go on although the drive's watchdog is not proven: if this computer or the cable fails, perhaps nothing stops the
+    /// motor; the waiver is recorded
+    #[arg(long)]
+    waive_watchdog: bool,
+    /// Make no pulse before the first run: directions and nameplate stay unproven; the waiver is recorded
+    #[arg(long)]
+    waive_direction: bool,
+    /// Go on although the pulse does not fit the nameplate; the waiver is recorded
+    #[arg(long)]
+    waive_plausibility: bool,
+}
+
+impl Waive {
+    const fn waivers(self) -> Waivers {
+        Waivers {
+            watchdog: self.waive_watchdog,
+            direction: self.waive_direction,
+            plausibility: self.waive_plausibility,
+        }
+    }
+}
+
+/// The time of `--reopen-s`.
+fn seconds(text: &str) -> Result<f64, String> {
+    let seconds: f64 = text.parse().map_err(|_| "expected a number of seconds".to_owned())?;
+    let is_allowed = (0.0..=86_400.0).contains(&seconds);
+    is_allowed.then_some(seconds).ok_or_else(|| "allowed: 0 (off) to 86400 s".to_owned())
+}
+
+#[derive(Clone, Debug)]
 pub(crate) struct RigOptions {
     pub bench: BenchFile,
-    /// Where run folders are made.
-    pub out: PathBuf,
-    /// There is no screen.
-    pub headless: bool,
-    /// The operator has stated that the drive is real and its shaft may turn.
-    pub hardware: bool,
+    pub switches: Switches,
     /// The motor is to be found from small steps before anything is planned.
     pub escalate: bool,
-    pub waivers: Waivers,
-    pub reset_fault: bool,
-    /// How long to look for a drive that was lost, s; `None`: the default of [`Rig::search_lost_drive`].
-    pub reopen_s: Option<f64>,
-    /// Where the capture of the wire goes.
-    pub tap: Option<PathBuf>,
     /// A hidden effect is requested, which only our own emulator has.
     pub mystery: bool,
-    /// The samples of a run are kept as columns too.
-    pub parquet: bool,
     /// Bench, link and motor as options of the commands that follow.
     pub words: String,
     pub terminal: Terminal,
@@ -83,6 +134,12 @@ struct Planned {
     /// It continues a sequence that was started by hand.
     follows: bool,
     speed: Option<SpeedAbout>,
+}
+
+impl Planned {
+    const fn of(session: Session, motor: Option<Nameplate>) -> Self {
+        Self { session, motor, follows: false, speed: None }
+    }
 }
 
 /// Data of a speed loop for its record.
@@ -144,7 +201,7 @@ impl Rig {
     ) -> Result<Self, Failure> {
         let (profile, profile_text) = wired_profile(&mut options.bench)?;
         suited(&profile, purpose)?;
-        if options.headless {
+        if options.switches.headless {
             announce(&profile, &options.terminal);
         }
         let connection = Connection::of(&options, run_seed, &profile)?;
@@ -205,17 +262,13 @@ impl Rig {
         self.power.set(DrivePower::Off);
     }
 
-    /// Identity, limits, link probe, watchdog proof, direction pulse; the refusal is the first check that failed.
-    pub(crate) fn check(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
-        self.checked(controls, false)
-    }
-
-    /// The same up to the first move, which is not made.
-    pub(crate) fn check_at_rest(&mut self, controls: &Controls) -> Result<CheckReport, Failure> {
-        self.checked(controls, true)
-    }
-
-    fn checked(&mut self, controls: &Controls, at_rest: bool) -> Result<CheckReport, Failure> {
+    /// Identity, limits, link probe, watchdog proof, direction pulse, of which the last is not made where the shaft is to stay
+    /// `at_rest`; the refusal is the first check that failed.
+    pub(crate) fn check(
+        &mut self,
+        controls: &Controls,
+        at_rest: bool,
+    ) -> Result<CheckReport, Failure> {
         if self.escalates && self.bench.load.vertical {
             return Err(Failure::usage(
                 "the small steps that find an unknown motor would let a vertical load fall",
@@ -237,12 +290,12 @@ impl Rig {
         let options = CheckOptions {
             rate_hz: self.bench.link.rate_hz,
             // A screen shows SIM or HARDWARE, and a person starts by hand; without one the option is needed.
-            hardware_allowed: self.options.hardware || !self.options.headless,
-            hardware_confirmed: self.options.hardware,
-            waivers: self.options.waivers,
+            hardware_allowed: self.options.switches.hardware || !self.options.switches.headless,
+            hardware_confirmed: self.options.switches.hardware,
+            waivers: self.options.switches.waive.waivers(),
             first_move,
             stopped: &stopped,
-            reset_fault: std::mem::take(&mut self.options.reset_fault),
+            reset_fault: std::mem::take(&mut self.options.switches.reset_fault),
         };
         let (link, clock) = (self.connection.link.as_mut(), self.connection.clock.as_mut());
         let report = check(link, clock, &self.bench.limits(), options);
@@ -326,8 +379,7 @@ impl Rig {
                 .holding(hold_v)
                 .with_burst_at(self.bench.runs.burst_at.map(|part| part - 1))
         };
-        let run = Planned { session, motor: Some(motor), follows: false, speed: None };
-        self.record_session(name, seed, run, controls)
+        self.record_session(name, seed, Planned::of(session, Some(motor)), controls)
     }
 
     /// Records the search for an unknown motor by currents whose levels rise.
@@ -341,8 +393,7 @@ impl Rig {
         let pilot = CurrentsPilot::new(section, None, limits.link_silence_s);
         let guard = Guard::for_unknown_motor(limits, None, 0.0).with_period(self.bench.period_s());
         let session = Session::new(Box::new(pilot), guard);
-        let run = Planned { session, motor: None, follows: false, speed: None };
-        self.record_session(name, self.bench.runs.fit, run, controls)
+        self.record_session(name, self.bench.runs.fit, Planned::of(session, None), controls)
     }
 
     /// Measures the delay of a loop over this link, with the output off; `None` where the drive does not report it.
@@ -370,12 +421,8 @@ impl Rig {
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
-        let run = Planned {
-            session: Session::new(Box::new(pilot), guard),
-            motor: Some(motor),
-            follows: false,
-            speed: Some(about),
-        };
+        let session = Session::new(Box::new(pilot), guard);
+        self.record_session(name, self.bench.runs.fit, Planned::of(session, None), controls)
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
@@ -390,7 +437,7 @@ impl Rig {
         let file = self.bench.name.clone();
         let session = stage_session(&self.bench, stage)
             .map_err(|error| Failure::from(BenchFileError::Sequence { file, error }))?;
-        let run = Planned { session, motor: None, follows, speed: None };
+        let run = Planned { follows, ..Planned::of(session, None) };
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
@@ -460,7 +507,9 @@ impl Rig {
                 rate_hz: self.bench.link.rate_hz,
                 motor: planned.motor,
                 // With a screen a real motor is started by hand, after a question.
-                auto_start: target == Target::Sim || self.options.headless || planned.follows,
+                auto_start: target == Target::Sim
+                    || self.options.switches.headless
+                    || planned.follows,
             },
         );
         self.last_seq += summary.link.sent - sent_before + 1;
@@ -490,7 +539,7 @@ impl Rig {
         recorded.keep_capture(name);
         // Kept at once: what follows may be interrupted.
         recorded.write_result(&serde_json::json!({}));
-        if self.options.parquet {
+        if self.options.switches.parquet {
             recorded.keep_parquet();
         }
         Ok(recorded)
@@ -499,7 +548,7 @@ impl Rig {
     /// The first move is made only where a folder for the record can be: one is made and removed again, where that of the
     /// runs is or would be.
     fn can_record(&self) -> Result<(), Failure> {
-        let parent = self.options.out.ancestors().find(|parent| parent.exists());
+        let parent = self.options.switches.out.ancestors().find(|parent| parent.exists());
         let parent = parent.unwrap_or(Path::new("."));
         let made = RunFolder::create(parent, &utc_stamp(now()), &self.bench.name)?;
         std::fs::remove_dir(made.path()).map_err(|error| {
@@ -515,11 +564,11 @@ impl Rig {
         manifest: &Manifest,
     ) -> Result<Recorder, Failure> {
         let sync_every = whole(self.bench.link.rate_hz.ceil());
-        let made = RunFolder::create(&self.options.out, &manifest.stamp, name)
+        let made = RunFolder::create(&self.options.switches.out, &manifest.stamp, name)
             .and_then(|folder| Recorder::create(folder, layout.clone(), manifest, sync_every));
         match made {
             Err(error) if self.has_recorded => {
-                let folder = RunFolder::unmade(&self.options.out, &manifest.stamp, name);
+                let folder = RunFolder::unmade(&self.options.switches.out, &manifest.stamp, name);
                 Ok(Recorder::without_disk(folder, layout.clone(), manifest, sync_every, &error)?)
             }
             made => Ok(made?),
@@ -597,14 +646,14 @@ impl Rig {
         // With a screen the user ends the search. Without one: the time in which the drive's own watchdog stops it, and 10 s to
         // put a plug back.
         let default_s =
-            self.options.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + 10.0);
+            self.options.switches.headless.then(|| check.identity.watchdog_s.unwrap_or(0.0) + 10.0);
         let limit_s = reopener.limit_s.or(default_s);
         if limit_s == Some(0.0) {
             return;
         }
         self.connection.link.close();
         let link = reopener.link.as_str();
-        if self.options.headless {
+        if self.options.switches.headless {
             let time = limit_s.map_or_else(String::new, |limit_s| format!(" for {limit_s:.1} s"));
             self.options
                 .terminal
@@ -631,7 +680,7 @@ impl Rig {
             self.connection.link = link;
             self.last_seq += 1;
         }
-        if self.options.headless {
+        if self.options.switches.headless {
             self.options.terminal.message(&self.reopening_text(&reopened));
         }
         if reopened.is_safe() {
@@ -686,7 +735,7 @@ impl Connection {
         if let (Some(config), Some(seed)) = (&mut emulator, run_seed) {
             config.day = seed.wrapping_sub(bench.runs.fit);
         }
-        let tap = tap(options.tap.as_deref(), &port, &options.terminal)?;
+        let tap = tap(options.switches.tap.as_deref(), &port, &options.terminal)?;
         let real = MonotonicClock::start();
         let (mut clock, mut server): (Box<dyn Clock + Send>, _) = (Box::new(real), None);
         let mut address = bench.link.port.clone();
@@ -709,7 +758,7 @@ impl Connection {
                 let (protocol, mut served) = (profile.link.protocol, config.clone());
                 served.line.baud = bench.baud();
                 let handle = serve(protocol, served, bench.emulator.seed, guise)?;
-                if options.headless {
+                if options.switches.headless {
                     options.terminal.message(&format!("software drive {}", handle.ready_line()));
                 }
                 address = opening::address(protocol, &handle);
@@ -726,7 +775,7 @@ impl Connection {
             None
         } else {
             let target = target(&address, bench)?;
-            Some(Reopener::of(&target, real.origin(), options.reopen_s))
+            Some(Reopener::of(&target, real.origin(), options.switches.reopen_s))
         };
         Ok(Self { link, clock, reopener, tap, _server: server, emulator })
     }

@@ -5,6 +5,7 @@ use std::fs;
 use std::path::{Component, Path, PathBuf};
 
 use crate::runtime::failure::Failure;
+use crate::runtime::files::names_in;
 use drivebench_bench::fits_pattern;
 use drivebench_bench::recording::{RunFile, RunFolder, resolved};
 
@@ -24,7 +25,7 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     };
     for path in named {
         if path.exists() {
-            let inside = if path.is_dir() { below(path) } else { Vec::new() };
+            let inside = if path.is_dir() { below(path, DEEPEST) } else { Vec::new() };
             if inside.is_empty() {
                 // A folder without a run gets a row too, which gives the reason.
                 add(resolved(path));
@@ -37,7 +38,8 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
             let headline = format!("{}: there is no such run or folder of runs", path.display());
             return Err(Failure::usage(headline, "check the path"));
         }
-        let matched: Vec<PathBuf> = expanded(path).iter().flat_map(|path| below(path)).collect();
+        let matched = expanded(path).into_iter().flat_map(|path| below(&path, DEEPEST));
+        let matched: Vec<PathBuf> = matched.collect();
         if matched.is_empty() {
             let headline = format!("{text}: no run matches this pattern");
             let help = "* and ? match characters of one name, ** any folders between";
@@ -50,20 +52,18 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     Ok(runs)
 }
 
-/// The path itself where it is a run, else the runs in the folders below it. Links to folders are not followed.
-fn below(path: &Path) -> Vec<PathBuf> {
-    let mut runs = Vec::new();
-    let mut open = vec![(path.to_owned(), 0)];
-    while let Some((path, depth)) = open.pop() {
-        if is_run(&path) {
-            runs.push(resolved(&path));
-        } else if depth < DEEPEST {
-            let entries = fs::read_dir(&path).into_iter().flatten().flatten();
-            let folders = entries.filter(|entry| entry.file_type().is_ok_and(|kind| kind.is_dir()));
-            open.extend(folders.map(|entry| (entry.path(), depth + 1)));
-        }
+/// The path itself where it is a run, else the runs in so many floors of folders below it.
+fn below(path: &Path, floors: usize) -> Vec<PathBuf> {
+    if is_run(path) {
+        return vec![resolved(path)];
     }
-    runs
+    folders_in(path, floors).flat_map(|folder| below(&folder, floors - 1)).collect()
+}
+
+/// The folders directly in this one, none where there are no floors. Links to folders are not followed.
+fn folders_in(base: &Path, floors: usize) -> impl Iterator<Item = PathBuf> {
+    let inside = names_in(base).into_iter().map(|name| base.join(name));
+    inside.filter(move |path| floors > 0 && path.is_dir() && !path.is_symlink())
 }
 
 fn is_run(path: &Path) -> bool {
@@ -85,11 +85,11 @@ fn expanded(pattern: &Path) -> Vec<PathBuf> {
         let text = part.as_os_str().to_string_lossy();
         found = match part {
             Component::Normal(_) if text == "**" => {
-                found.iter().flat_map(|base| folders_below(base)).collect()
+                found.iter().flat_map(|base| with_folders_below(base, DEEPEST)).collect()
             }
             Component::Normal(_) if is_pattern(&text) => found
                 .iter()
-                .flat_map(|base| names(base).into_iter().map(move |name| (base, name)))
+                .flat_map(|base| names_in(base).into_iter().map(move |name| (base, name)))
                 .filter(|(_, name)| matches(name, &text))
                 .map(|(base, name)| base.join(name))
                 .collect(),
@@ -100,25 +100,10 @@ fn expanded(pattern: &Path) -> Vec<PathBuf> {
     found
 }
 
-fn names(base: &Path) -> Vec<String> {
-    let base = if base.as_os_str().is_empty() { Path::new(".") } else { base };
-    let entries = fs::read_dir(base).into_iter().flatten().flatten();
-    entries.map(|entry| entry.file_name().to_string_lossy().into_owned()).collect()
-}
-
-/// The folder and all below it.
-fn folders_below(base: &Path) -> Vec<PathBuf> {
-    let mut found = vec![base.to_owned()];
-    let mut open = vec![(base.to_owned(), 0)];
-    while let Some((folder, depth)) = open.pop() {
-        for path in names(&folder).into_iter().map(|name| folder.join(name)) {
-            if depth < DEEPEST && path.is_dir() && !path.is_symlink() {
-                found.push(path.clone());
-                open.push((path, depth + 1));
-            }
-        }
-    }
-    found
+/// The folder and so many floors of folders below it.
+fn with_folders_below(base: &Path, floors: usize) -> Vec<PathBuf> {
+    let inside = folders_in(base, floors).flat_map(|path| with_folders_below(&path, floors - 1));
+    std::iter::once(base.to_owned()).chain(inside).collect()
 }
 
 /// Whether a name fits a pattern; one that begins with a dot is hidden.

@@ -16,7 +16,7 @@ use crate::runtime::output::Terminal;
 use drivebench_bench::recording::{
     ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text,
 };
-use drivebench_diagnose::{Candidate, Score, diagnose};
+use drivebench_diagnose::{Diagnosis, Score, diagnose};
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::temperature;
 use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
@@ -183,17 +183,23 @@ impl Columns {
             }
         }
         let residual = one.and_then(|one| one.residual);
-        let [effects, probabilities] = answer.map_or_else(Default::default, |answer| {
-            [&answer.effects, &answer.probabilities].map(|all| all.join(";"))
-        });
+        let verdict = answer.and_then(|answer| serde_json::to_value(answer.verdict).ok());
+        let named = || answer.into_iter().flat_map(|answer| answer.effects.iter().copied());
+        let probability = |id: &str| {
+            let mut candidates = answer.into_iter().flat_map(|answer| &answer.candidates);
+            let candidate = candidates.find(|candidate| candidate.effect == id);
+            format!("{:.4}", candidate.map_or(f64::NAN, |candidate| candidate.probability))
+        };
+        let effects = named().collect::<Vec<_>>().join(";");
+        let probabilities = named().map(probability).collect::<Vec<_>>().join(";");
         columns.extend([
             quantity("residual", residual.map(|(size, _)| size)),
             text("residual_in", residual.map_or("", |(_, unit)| unit)),
-            text("verdict", answer.and_then(|answer| answer.verdict.as_str()).unwrap_or_default()),
+            text("verdict", verdict.as_ref().and_then(Value::as_str).unwrap_or_default()),
             text("effects", &effects),
             text("effect_probabilities", &probabilities),
-            quantity("held_out_error", answer.map(|answer| answer.holdout)),
-            quantity("explained_percent", answer.map(|answer| answer.explained)),
+            quantity("held_out_error", answer.map(|answer| answer.holdout_after)),
+            quantity("explained_percent", answer.map(|answer| answer.explained_percent)),
             text("notes", &notes.join(" | ")),
             text("program", env!("CARGO_PKG_VERSION")),
             text("analysis", analysis),
@@ -236,7 +242,7 @@ pub(super) fn name(run: &Path) -> String {
 struct Found {
     about: Option<About>,
     one: Option<Identified>,
-    answer: Option<Answer>,
+    answer: Option<Diagnosis>,
 }
 
 /// Facts of a record.
@@ -259,14 +265,6 @@ struct Identified {
     parameters: Vec<ParameterEstimate>,
     residual: Option<(f64, &'static str)>,
     notes: Vec<String>,
-}
-
-struct Answer {
-    verdict: Value,
-    effects: Vec<String>,
-    probabilities: Vec<String>,
-    holdout: f64,
-    explained: f64,
 }
 
 /// Analyses one run; every failure of it stands in its row.
@@ -315,29 +313,10 @@ fn analyse(
     found.one = Some(Identified::of(&one));
     drop(one);
     if arguments.diagnose {
-        let files = EvidenceFiles {
-            terminal,
-            run,
-            model: Some(arguments.model.as_deref().unwrap_or(Path::new(BASELINE))),
-            holdout: None,
-            confirm: None,
-            later: &[],
-            for_screen: false,
-        };
+        let model = arguments.model.as_deref().unwrap_or(Path::new(BASELINE));
+        let files = EvidenceFiles { model: Some(model), ..EvidenceFiles::of(run, terminal) };
         let prepared = prepare(files, |path, _| load(path), Judging::Refits)?;
-        let found_effects = diagnose(&prepared.model.file.model, prepared.evidence)?;
-        let probability = |id: &&str| {
-            let is_it = |candidate: &&Candidate| candidate.effect == *id;
-            let candidate = found_effects.candidates.iter().find(is_it);
-            format!("{:.4}", candidate.map_or(f64::NAN, |candidate| candidate.probability))
-        };
-        found.answer = Some(Answer {
-            verdict: serde_json::to_value(found_effects.verdict).unwrap_or_default(),
-            effects: found_effects.effects.iter().map(|id| (*id).to_owned()).collect(),
-            probabilities: found_effects.effects.iter().map(probability).collect(),
-            holdout: found_effects.holdout_after,
-            explained: found_effects.explained_percent,
-        });
+        found.answer = Some(diagnose(&prepared.model.file.model, prepared.evidence)?);
     }
     Ok(())
 }
