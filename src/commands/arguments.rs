@@ -10,14 +10,10 @@ use clap::builder::{PathBufValueParser, TypedValueParser};
 use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, prepare};
 use crate::commands::map::map_help;
 use crate::report::wording::sanity as words;
-use crate::runtime::ending::Audience;
-use crate::runtime::failure::Failure;
-use crate::runtime::files::require_parquet;
-use crate::runtime::files::{load, read_text};
-use crate::runtime::opening::Tap;
-use crate::runtime::output::{Form, Terminal};
-use crate::runtime::rig::{MYSTERY, RigOptions, Switches};
-use crate::runtime::{opening, output};
+use crate::runtime::{
+    Audience, Failure, Form, MYSTERY, RigOptions, Switches, Tap, Terminal, load, opening, output,
+    read_text, require_parquet,
+};
 use crate::workflow::ProgressCell;
 use drivebench_bench::recording::{ColumnMap, LoadedRun, MissingValues, ReadOptions, resolved};
 use drivebench_bench::{BenchFile, EMBEDDED_NAME, Port};

@@ -11,9 +11,7 @@ use crate::commands::evidence::{cautions, name_voltage};
 use crate::commands::view::needs_terminal;
 use crate::report::plot::standalone;
 use crate::report::{Bars, Document, Tone, response_chart};
-use crate::runtime::failure::Failure;
-use crate::runtime::files::read_model;
-use crate::runtime::output::{self, Form, Terminal, quoted, quoted_word};
+use crate::runtime::{Failure, Form, Terminal, output, quoted, quoted_word, read_model};
 use drivebench_bench::recording::{LoadedRun, RunFile, RunFolder};
 use drivebench_identify::frequency_response::{
     CARRIED, Compared, Departure, Mode, Pathway, PathwayResponse, ResponsePoint, compared, of_model,

@@ -12,11 +12,10 @@ use serde::Serialize;
 use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, RecommendationBench, prepare};
 use crate::commands::pages;
 use crate::report::{Document, wording};
-use crate::runtime::ending::{ScreenEnd, ScreenReturn, spawn, watched};
-use crate::runtime::failure::Failure;
-use crate::runtime::files::{Recorded, load, model_file};
-use crate::runtime::output::{Form, Terminal, quoted_word};
-use crate::runtime::signals;
+use crate::runtime::{
+    Failure, Form, Recorded, ScreenEnd, ScreenReturn, Terminal, load, model_file, quoted_word,
+    signals, spawn, watched,
+};
 use crate::tui::{
     self, Appearance, DiagnosisScreen, DiagnosisSources, Exit, Opens, ResponseScreen, Screen,
     StoppedAt,

@@ -5,8 +5,7 @@ use crate::commands::report::last_rows;
 use crate::commands::run::CompletedRun;
 use crate::commands::speed::{SpeedResult, delay_text};
 use crate::report::{Cell, Document, Table, Tone, conventions, tables};
-use crate::runtime::files::Recorded;
-use crate::runtime::output::quoted;
+use crate::runtime::{Recorded, quoted};
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{
     LoopDelay, Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched,

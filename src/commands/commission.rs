@@ -26,13 +26,10 @@ use crate::commands::{by_hand, pages};
 use crate::report::wording::diagnosis as words;
 use crate::report::wording::next_run::next_run;
 use crate::report::{Document, tables};
-use crate::runtime::controls::Controls;
-use crate::runtime::ending::{Audience, ScreenEnd, conduct};
-use crate::runtime::failure::{Failure, USAGE};
-use crate::runtime::files::{Recorded, model_file, read_text};
-use crate::runtime::output::{Terminal, quoted};
-use crate::runtime::rig::{OpenRig, Rig, RigOptions, Switches};
-use crate::runtime::signals;
+use crate::runtime::{
+    Audience, Controls, Failure, OpenRig, Recorded, Rig, RigOptions, ScreenEnd, Switches, Terminal,
+    USAGE, conduct, model_file, quoted, read_text, signals,
+};
 use crate::tui::{Exit, Opens};
 use crate::workflow::{
     BurstResult, CommandContext, Commission, CommissionResult, Discovery, Progress, ProgressCell,

@@ -9,10 +9,7 @@ use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
 use crate::report::wording::{json, location, versus as words};
 use crate::report::{Document, SignalFigures, Table, Tone};
-use crate::runtime::failure::{Failure, REFUSED, USAGE};
-use crate::runtime::files::read_model;
-use crate::runtime::output::{self, Form, Terminal};
-use crate::runtime::progress::ProgressLine;
+use crate::runtime::{Failure, Form, ProgressLine, REFUSED, Terminal, USAGE, output, read_model};
 use drivebench_diagnose::{
     Comparison, HoldoutFrom, SignalVersus, Undecided, Versus, compare, versus,
 };

@@ -15,9 +15,7 @@ use serde_json::json;
 use crate::commands::arguments::{WireArguments, open_line};
 use crate::commands::probe::{Scan, scan};
 use crate::commands::registers::strays_text;
-use crate::runtime::failure::{Failure, LINK, REFUSED};
-use crate::runtime::opening::Tap;
-use crate::runtime::output::{Terminal, lines};
+use crate::runtime::{Failure, LINK, REFUSED, Tap, Terminal, lines};
 use drivebench_link::serial_ports::{SerialPortInfo, describe, latency_file, list};
 use drivebench_link::{
     CellTable, Framing, LinkError, LoopRates, MeasuredLine, RawClient, RawCounters, ReadRequest,

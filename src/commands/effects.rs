@@ -3,8 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::report::{Document, Tone, card_facts};
-use crate::runtime::failure::Failure;
-use crate::runtime::output::{Form, Terminal};
+use crate::runtime::{Failure, Form, Terminal};
 use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::plant::{Card, Enters, Measure, ParameterRole, ParameterSpec, effect};
 use drivebench_model::text::lines::wrapped;

@@ -5,10 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::runtime::failure::{Failure, LINK, USAGE};
-use crate::runtime::files::read_text;
-use crate::runtime::output::Terminal;
-use crate::runtime::{opening, output, signals};
+use crate::runtime::{Failure, LINK, Terminal, USAGE, opening, output, read_text, signals};
 use drivebench_emulator::mystery::{self, Mystery};
 use drivebench_emulator::{
     EmulatorConfig, Endpoint, Guise, Journal, Served, UNIT, ready_line, serve,

@@ -7,12 +7,13 @@ use std::thread;
 use std::time::Duration;
 
 use crate::commands::run::{RunDone, run};
-use crate::runtime::controls::{Controls, DrivePower};
-use crate::runtime::ending::{Ended, ScreenEnd, ScreenReturn, alone, watched, with_screen};
-use crate::runtime::failure::{Failure, INTERNAL, INTERRUPTED, LINK, TRIP};
-use crate::runtime::files::Recorded;
-use crate::runtime::output::Terminal;
-use crate::runtime::rig::{OpenRig, Rig, RigOptions, Switches};
+use crate::runtime::controls::DrivePower;
+use crate::runtime::ending::{Ended, alone, with_screen};
+use crate::runtime::failure::TRIP;
+use crate::runtime::{
+    Controls, Failure, INTERNAL, INTERRUPTED, LINK, OpenRig, Recorded, Rig, RigOptions, ScreenEnd,
+    ScreenReturn, Switches, Terminal, watched,
+};
 use crate::tui::Exit;
 use drivebench_bench::{BenchFile, Outcome, SnapshotCell, VirtualClock};
 use drivebench_emulator::{EmulatorConfig, Latency, MemoryLink, SoftDrive};

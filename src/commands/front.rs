@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
-use crate::runtime::files::names_in;
+use crate::runtime::names_in;
 use drivebench_bench::BenchFile;
 use drivebench_bench::recording::{LATEST, RunFile, read_text};
 use drivebench_model::plant::ModelFile;

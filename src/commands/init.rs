@@ -11,10 +11,7 @@ use serde_json::json;
 
 use crate::commands::probe::read_limits;
 use crate::commands::test::golden;
-use crate::runtime::failure::Failure;
-use crate::runtime::files::read_text;
-use crate::runtime::output::Terminal;
-use crate::runtime::{opening, output};
+use crate::runtime::{Failure, Terminal, opening, output, read_text};
 use drivebench_bench::{InitFile, InitRequest, MotorSection, Port, Readback, Reasoned, init_file};
 use drivebench_link::serial_ports::describe;
 use drivebench_model::config_text::{self, ConfigError};

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use crate::commands::arguments::TextArguments;
 use crate::report::wording::{columns, json, sanity};
 use crate::report::{Document, Tone};
-use crate::runtime::failure::{Failure, REFUSED};
-use crate::runtime::output::{Form, Terminal, quoted, quoted_word};
+use crate::runtime::{Failure, Form, REFUSED, Terminal, quoted, quoted_word};
 use drivebench_bench::column_proposal::{
     Confidence, Item, Proposal, known_headers, numbers, propose,
 };

@@ -52,8 +52,7 @@ use std::process::ExitCode;
 use clap::error::ErrorKind;
 use clap::{Parser, Subcommand};
 
-use crate::runtime::failure::Failure;
-use crate::runtime::output::Terminal;
+use crate::runtime::{Failure, Terminal};
 use crate::tui::Appearance;
 
 /// Exit statuses, as `--help` prints them.

@@ -9,10 +9,7 @@ use crate::report::{
     CommissionReport, ComparisonReport, ConfirmRun, Context, Document, Facts, LastSeconds,
     RunReport, Target,
 };
-use crate::runtime::failure::Failure;
-use crate::runtime::files::{Recorded, early_end};
-use crate::runtime::output::Terminal;
-use crate::runtime::rig::Rig;
+use crate::runtime::{Failure, Recorded, Rig, Terminal, early_end};
 use crate::tui::StoppedAt;
 use crate::workflow::{CommissionResult, Truth};
 use drivebench_bench::recording::{LoadedRun, Manifest, RunFile};

@@ -5,11 +5,7 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::runtime::failure::Failure;
-use crate::runtime::files::read_text;
-use crate::runtime::opening::wired_profile;
-use crate::runtime::output::{Terminal, lines};
-use crate::runtime::rig::failed_plan;
+use crate::runtime::{Failure, Terminal, failed_plan, lines, read_text, wired_profile};
 use drivebench_bench::{
     BenchFile, CurrentsSection, EMBEDDED_DEFAULT, EMBEDDED_NAME, EscalationPlan, Plan, PlanError,
     Port, Reference, plan_escalation, plan_run,

@@ -9,10 +9,7 @@ use serde::Serialize;
 
 use crate::commands::arguments::{check_unit, framing};
 use crate::report::wording::{json, probe as words};
-use crate::runtime::failure::{Failure, LINK, REFUSED};
-use crate::runtime::opening;
-use crate::runtime::opening::{Tap, address, serve};
-use crate::runtime::output::{Terminal, lines};
+use crate::runtime::{Failure, LINK, REFUSED, Tap, Terminal, address, lines, opening, serve};
 use drivebench_bench::{MonotonicClock, Port, Readback};
 use drivebench_emulator::{EmulatorConfig, Guise, ServerHandle};
 use drivebench_link as drive;

@@ -16,9 +16,7 @@ use crate::commands::arguments::WireArguments;
 use crate::commands::register_values::{
     Address, ByteOrder, Format, Guess, Value, ValueType, cell, guesses,
 };
-use crate::runtime::failure::Failure;
-use crate::runtime::output::{Terminal, lines};
-use crate::runtime::{output, signals};
+use crate::runtime::{Failure, Terminal, lines, output, signals};
 use drivebench_link::{
     Batch, CellTable, LinkError, MOST_READ, MOST_WRITTEN, RawClient, RawCounters, ReadRequest,
     WriteFunction, WriteOutcome, Written, read_batch, registers,

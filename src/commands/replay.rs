@@ -6,9 +6,7 @@ use serde::Serialize;
 use serde_json::{Map, Value};
 
 use crate::commands::arguments::{FileArguments, run_path};
-use crate::runtime::failure::{Failure, REFUSED};
-use crate::runtime::files::read_text;
-use crate::runtime::output::Terminal;
+use crate::runtime::{Failure, REFUSED, Terminal, read_text};
 use drivebench_bench::recording::{ReadOptions, RunFile, RunFolder, RunRows};
 use drivebench_bench::{Difference, OnlineResult, OnlineSettings, first_difference, replay};
 use drivebench_identify::online::OnlineConfig;

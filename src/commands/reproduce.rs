@@ -1,6 +1,6 @@
 //! `reproduce`: names the program with the papers' figures and the study of the diagnosis.
 
-use crate::runtime::failure::Failure;
+use crate::runtime::Failure;
 
 /// Moved to the program drivebench-studies
 #[derive(clap::Args)]

@@ -10,12 +10,10 @@ use crate::commands::arguments::{LiveArguments, UnknownMotor};
 use crate::commands::{by_hand, cards, identify, pages};
 use crate::report::wording::{json, nameplate as words};
 use crate::report::{Document, tables};
-use crate::runtime::controls::Controls;
-use crate::runtime::ending::{Audience, conduct};
-use crate::runtime::failure::{Failure, LINK, NOT_IDENTIFIABLE};
-use crate::runtime::files::Recorded;
-use crate::runtime::output::{Form, Terminal};
-use crate::runtime::rig::{OpenRig, Rig, RigOptions};
+use crate::runtime::{
+    Audience, Controls, Failure, Form, LINK, NOT_IDENTIFIABLE, OpenRig, Recorded, Rig, RigOptions,
+    Terminal, conduct,
+};
 use crate::workflow::{Escalate, EscalationResult, compared, scaled_sentence};
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{BenchFile, CheckReport, CurrentsSection, Plan, RunSummary};

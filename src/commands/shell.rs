@@ -5,8 +5,7 @@ use std::path::PathBuf;
 
 use clap::CommandFactory;
 
-use crate::runtime::failure::Failure;
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::{Failure, Terminal, output};
 
 /// Print the completions of a shell
 #[derive(clap::Args)]

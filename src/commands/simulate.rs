@@ -4,9 +4,7 @@ use std::fmt::Write as _;
 use std::path::PathBuf;
 
 use crate::commands::arguments::{MapArguments, run_path};
-use crate::runtime::failure::Failure;
-use crate::runtime::files::read_model;
-use crate::runtime::output::Terminal;
+use crate::runtime::{Failure, Terminal, read_model};
 use drivebench_bench::recording::write_run;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error;

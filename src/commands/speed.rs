@@ -12,14 +12,10 @@ use serde_json::json;
 use crate::commands::arguments::{LiveArguments, by_name};
 use crate::commands::run::print_checks;
 use crate::commands::{by_hand, cards, pages};
-use crate::runtime::controls::Controls;
-use crate::runtime::ending::conduct;
-use crate::runtime::failure::Failure;
-use crate::runtime::files::Recorded;
-use crate::runtime::opening::wired_profile;
-use crate::runtime::output::Terminal;
-use crate::runtime::rig::{OpenRig, Rig, RigOptions, SpeedAbout, nameplate};
-use crate::runtime::{files, output};
+use crate::runtime::{
+    Controls, Failure, OpenRig, Recorded, Rig, RigOptions, SpeedAbout, Terminal, conduct, files,
+    nameplate, output, wired_profile,
+};
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{
     BenchFile, CheckReport, ControllerKind, Design, EMBEDDED_NAME, ForwardUse, Limits, LoopDelay,

@@ -7,9 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use crate::report::{Bars, Document, Tone};
-use crate::runtime::failure::Failure;
-use crate::runtime::files::{read_model, read_text, speed_command};
-use crate::runtime::output::{Form, Terminal};
+use crate::runtime::{Failure, Form, Terminal, read_model, read_text, speed_command};
 use drivebench_control::tuning::{NotchUse, Request, Rule, Tuning, TuningError, tune_over};
 use drivebench_control::{
     Actuator, LinearPlant, LoopShape, LoopTiming, Margins, PiGains, PlantError, Schedule,

@@ -7,8 +7,7 @@ use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
 use crate::commands::by_hand::{self, ScreenResult};
 use crate::commands::evidence::{Judging, Prepared, RecommendationBench};
 use crate::report::wording::diagnosis as words;
-use crate::runtime::failure::Failure;
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::{Failure, Terminal, output};
 use crate::tui::Opens;
 use drivebench_diagnose::ErrorOf;
 

@@ -22,5 +22,18 @@ pub(crate) mod progress;
 pub(crate) mod rig;
 pub mod signals;
 
+pub(crate) use controls::Controls;
+pub(crate) use ending::{Audience, ScreenEnd, ScreenReturn, conduct, spawn, watched};
 pub use failure::Failure;
+pub(crate) use failure::{INTERNAL, INTERRUPTED, LINK, NOT_IDENTIFIABLE, REFUSED, USAGE};
+pub(crate) use files::{
+    Recorded, early_end, estimates, load, model_file, names_in, parquet, read_model, read_text,
+    require_parquet, samples_as_parquet, speed_command,
+};
+pub(crate) use opening::{Tap, address, serve, wired_profile};
 pub use output::Terminal;
+pub(crate) use output::{Form, lines, quoted, quoted_word};
+pub(crate) use progress::ProgressLine;
+pub(crate) use rig::{
+    MYSTERY, OpenRig, Rig, RigOptions, SpeedAbout, Switches, failed_plan, nameplate,
+};

@@ -4,8 +4,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
 
-use crate::runtime::failure::Failure;
-use crate::runtime::files::names_in;
+use crate::runtime::{Failure, names_in};
 use drivebench_bench::fits_pattern;
 use drivebench_bench::recording::{RunFile, RunFolder, resolved};
 

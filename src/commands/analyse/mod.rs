@@ -24,9 +24,7 @@ use serde_json::{Map, Value};
 use table::{Table, header_of, line_of};
 
 use crate::commands::arguments::{MapArguments, shard};
-use crate::runtime::failure::{Failure, REFUSED, USAGE};
-use crate::runtime::files::read_model;
-use crate::runtime::output::Terminal;
+use crate::runtime::{Failure, REFUSED, Terminal, USAGE, read_model};
 use drivebench_bench::recording::ColumnKind;
 use drivebench_identify::scheme;
 use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};

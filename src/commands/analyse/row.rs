@@ -11,8 +11,7 @@ use serde_json::Value;
 use super::Analysis;
 use crate::commands::evidence::{BASELINE, EvidenceFiles, Judging, prepare};
 use crate::commands::identify::{OneRun, identify, is_found, period_s};
-use crate::runtime::failure::{Failure, INTERNAL};
-use crate::runtime::output::Terminal;
+use crate::runtime::{Failure, INTERNAL, Terminal};
 use drivebench_bench::recording::{
     ColumnKind, LoadedRun, Machine, Manifest, RunFile, RunFolder, number_text,
 };

@@ -14,9 +14,7 @@ use std::path::{Path, PathBuf};
 
 use super::row;
 use super::row::{Cell, Status};
-use crate::runtime::failure::Failure;
-use crate::runtime::files::{parquet, require_parquet};
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::{Failure, Terminal, output, parquet, require_parquet};
 use drivebench_bench::recording::ColumnKind;
 
 /// Position of a row in its file, and checksum of its run.

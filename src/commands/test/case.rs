@@ -13,9 +13,7 @@ use super::baseline::Baseline;
 use super::own_drive::{DriveOrder, OwnDrive};
 use super::process;
 use super::process::{Done, End, Watch, error_message};
-use crate::runtime::failure::{INTERRUPTED, REFUSED};
-use crate::runtime::files::read_text;
-use crate::runtime::{opening, output};
+use crate::runtime::{INTERRUPTED, REFUSED, opening, output, read_text};
 use crate::workflow::suite::{
     Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, Limit, SignalLimit, Step,
     StepOutcome, Verb, Verdict, answered, figure, find, is_written, reference,
@@ -614,7 +612,7 @@ fn end_text(status: Option<u8>, message: Option<&str>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::runtime::failure::LINK;
+    use crate::runtime::LINK;
 
     #[test]
     fn only_an_interrupted_command_reports_how_it_left_its_motor() {

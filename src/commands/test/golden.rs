@@ -2,9 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::runtime::failure::Failure;
-use crate::runtime::files::read_text;
-use crate::runtime::output::{self, Terminal};
+use crate::runtime::{Failure, Terminal, output, read_text};
 use crate::workflow::suite::golden::{Golden, GoldenRun, SuiteTarget, golden};
 use drivebench_bench::recording::{Manifest, resolved};
 

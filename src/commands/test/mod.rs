@@ -25,10 +25,7 @@ use clap::CommandFactory as _;
 use process::Watch;
 
 use crate::commands::arguments::shard;
-use crate::runtime::failure::{Failure, INTERRUPTED};
-use crate::runtime::files::read_text;
-use crate::runtime::output::Terminal;
-use crate::runtime::{opening, output, signals};
+use crate::runtime::{Failure, INTERRUPTED, Terminal, opening, output, read_text, signals};
 use crate::workflow::suite::{
     Action, Case, CaseOutcome, Need, Suite, SuiteOutcome, Verb, Verdict, junit, open_metrics,
 };
