@@ -14,8 +14,6 @@ mod notation;
 
 pub use map::map_as_c;
 
-use std::fmt::Write as _;
-
 use notation::{Language, Names};
 use thiserror::Error;
 
@@ -63,7 +61,6 @@ impl ExportError {
     }
 }
 
-/// A speed regulator that goes with the model.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Regulator {
     pub gains: PiGains,
@@ -179,14 +176,15 @@ impl Export {
         };
         let regulator = self.regulator.map_or("", |_| regulator);
         let mut text = template.replace("{{regulator}}", regulator);
-        let mut fill = |key: &str, value: &str| {
-            let mark = format!("{{{{{key}}}}}");
-            // A line that would be empty is removed.
-            if value.is_empty() {
-                text = text.replace(&format!("{mark}\n"), "");
-            }
-            text = text.replace(&mark, value);
-        };
+        text = repeated(&text, ["key", "value", "unit"], &self.parameter_rows(target));
+        text = repeated(&text, ["effect", "state", "index", "rate"], &self.state_rows(&language));
+        let gains = self.regulator.map_or(Vec::new(), |regulator| {
+            regulator.values().map(|(key, value)| [key.to_owned(), format!("{value:?}")]).into()
+        });
+        text = repeated(&text, ["gain_key", "gain"], &gains);
+        let regulate = self.regulator.map(|_| ["regulate".to_owned()]);
+        text = repeated(&text, ["regulate"], regulate.as_slice());
+        let mut fill = |key: &str, value: &str| text = text.replace(&mark(key), value);
         for (key, place) in [
             ("voltage", Place::Voltage),
             ("torque", Place::Torque),
@@ -198,20 +196,12 @@ impl Export {
         ] {
             fill(key, &self.sum(place, &language));
         }
-        for (key, lines) in self.of_states(target, &language) {
-            fill(key, &lines);
-        }
-        let mut names = String::new();
-        for effect in &self.states {
-            let _ = write!(names, ", state of {effect}");
-        }
-        fill("state_names", &names);
+        let names: Vec<String> =
+            self.states.iter().map(|effect| format!(", state of {effect}")).collect();
+        fill("state_names", &names.concat());
         fill("state_count", &(4 + self.states.len()).to_string());
-        fill("parameters", &self.lines(|key, _, unit| format!("    double {key}; /* {unit} */")));
-        fill("values", &self.values(target));
-        let (gains, fields) = self.regulator_text(target);
-        fill("gains", &gains);
-        fill("regulator_fields", &fields);
+        let gains: Vec<&str> = gains.iter().map(|[_, value]| value.as_str()).collect();
+        fill("gains", &gains.join(", "));
         fill("longest_s", &format!("{:?}", self.longest_step_s));
         fill("title", &self.title);
         fill("name", &self.name);
@@ -220,79 +210,24 @@ impl Export {
         Ok(text)
     }
 
-    /// The lines that the effects' states need, by their marks in the template.
-    fn of_states(&self, target: Target, language: &Language) -> Vec<(&'static str, String)> {
-        let each = |line: &dyn Fn(usize, &str, String) -> String| {
-            let lines = self.states.iter().enumerate().map(|(number, effect)| {
-                let own = self.terms.iter().filter(|term| term.effect == *effect);
-                let rate = own
-                    .filter(|term| term.formula.place == Place::StateRate)
-                    .map(|term| language.written(&term.formula.tree, &self.names(term)))
-                    .collect();
-                line(number, effect, rate)
-            });
-            lines.collect::<Vec<_>>().join("\n")
+    fn parameter_rows(&self, target: Target) -> Vec<[String; 3]> {
+        let row = |(key, value, unit): &(String, f64, &str)| {
+            // The unit of a number without a unit, in the grammar of Modelica.
+            let unit = if target == Target::Modelica && *unit == "-" { "1" } else { *unit };
+            [key.clone(), format!("{value:?}"), unit.to_owned()]
         };
-        let state = |effect: &str| language.state(effect, 0);
-        let rates = match target {
-            Target::C => each(&|_, effect, rate| format!("    rate.{effect} = {rate};")),
-            Target::Python => each(&|_, _, rate| format!("            {rate},")),
-            Target::Matlab => each(&|number, _, rate| format!("  rate({}) = {rate};", 5 + number)),
-            Target::Modelica => {
-                each(&|_, effect, rate| format!("  der({}) = {rate};", state(effect)))
-            }
-        };
-        let mut marks = vec![("state_rates", rates)];
-        match target {
-            Target::C => {
-                let moves =
-                    each(&|_, effect, _| format!("    next.{effect} += h * rate->{effect};"));
-                marks.push(("state_moves", moves));
-                marks.push(("states", each(&|_, effect, _| format!("    double {effect};"))));
-            }
-            Target::Modelica => {
-                let begin =
-                    |effect: &str| format!("  Real {}(start = 0.0, fixed = true);", state(effect));
-                marks.push(("states", each(&|_, effect, _| begin(effect))));
-            }
-            Target::Python | Target::Matlab => {}
-        }
-        marks
+        self.parameters.iter().map(row).collect()
     }
 
-    fn values(&self, target: Target) -> String {
-        match target {
-            Target::C => self.lines(|key, value, _| format!("    .{key} = {value:?},")),
-            Target::Python => {
-                self.lines(|key, value, unit| format!("        self.{key} = {value:?}  # {unit}"))
-            }
-            Target::Matlab => {
-                self.lines(|key, value, unit| format!("  p.{key} = {value:?}; % {unit}"))
-            }
-            Target::Modelica => self.lines(|key, value, unit| {
-                // The unit of a number without a unit, in its grammar.
-                let unit = if unit == "-" { "1" } else { unit };
-                format!("  parameter Real {key}(unit = \"{unit}\") = {value:?};")
-            }),
-        }
-    }
-
-    /// The gains as a list, and as fields of a structure.
-    fn regulator_text(&self, target: Target) -> (String, String) {
-        let (mut gains, mut fields) = (String::new(), String::new());
-        if let Some(regulator) = self.regulator {
-            let values = regulator.values();
-            let listed = values.map(|(_, value)| format!("{value:?}"));
-            gains = match target {
-                Target::Python => format!("({})", listed.join(", ")),
-                _ => listed.join(", "),
-            };
-            for (key, value) in values {
-                let _ = writeln!(fields, "  m.gains.{key} = {value:?};");
-            }
-            fields.push_str("  m.regulate = @regulate;");
-        }
-        (gains, fields)
+    /// Effect, name, index in Matlab and rate of each state.
+    fn state_rows(&self, language: &Language) -> Vec<[String; 4]> {
+        let rates = self.terms.iter().filter(|term| term.formula.place == Place::StateRate);
+        let row = |(number, term): (usize, &Term)| {
+            let rate = language.written(&term.formula.tree, &self.names(term));
+            let index = (5 + number).to_string();
+            [term.effect.to_owned(), language.state(term.effect, number), index, rate]
+        };
+        rates.enumerate().map(row).collect()
     }
 
     /// All formulas of a place, zero where there is none.
@@ -316,12 +251,27 @@ impl Export {
             state: number.unwrap_or(0),
         }
     }
+}
 
-    fn lines(&self, line: impl Fn(&str, f64, &str) -> String) -> String {
-        let lines = self.parameters.iter();
-        let lines: Vec<String> = lines.map(|(key, value, unit)| line(key, *value, unit)).collect();
-        lines.join("\n")
+fn mark(key: &str) -> String {
+    format!("{{{{{key}}}}}")
+}
+
+/// The template with each of its lines that has one of the marks once for each row of their values.
+fn repeated<const N: usize>(text: &str, keys: [&str; N], rows: &[[String; N]]) -> String {
+    let marks = keys.map(mark);
+    let mut filled = String::new();
+    for line in text.split_inclusive('\n') {
+        if !marks.iter().any(|mark| line.contains(mark)) {
+            filled.push_str(line);
+            continue;
+        }
+        for row in rows {
+            let pairs = marks.iter().zip(row);
+            filled += &pairs.fold(line.to_owned(), |line, (mark, value)| line.replace(mark, value));
+        }
     }
+    filled
 }
 
 /// The terms of an effect as text in the symbols of the equations and its own parameters, each with what it adds to; `None`

@@ -13,17 +13,17 @@
 #include <math.h>
 
 typedef struct {
-{{parameters}}
+    double {{key}}; /* {{unit}} */
 } {{name}}_parameters;
 
 static const {{name}}_parameters {{name}}_identified = {
-{{values}}
+    .{{key}} = {{value}},
 };
 
 /* All zero at rest. */
 typedef struct {
     double current_a, speed_rad_s, angle_rad, time_s;
-{{states}}
+    double {{effect}};
 } {{name}}_state;
 
 static inline double {{name}}_sgn(double value) { return (double)((value > 0.0) - (value < 0.0)); }
@@ -61,7 +61,7 @@ static inline {{name}}_state {{name}}_rates(const {{name}}_parameters *p, const 
     rate.speed_rad_s = direction ? net_n_m / (p->inertia_kg_m2 * (1.0 + {{inertia}})) : 0.0;
     rate.angle_rad = s->speed_rad_s;
     rate.time_s = 1.0;
-{{state_rates}}
+    rate.{{effect}} = {{rate}};
     return rate;
 }
 
@@ -72,7 +72,7 @@ static inline {{name}}_state {{name}}_moved(const {{name}}_state *s, const {{nam
     next.speed_rad_s += h * rate->speed_rad_s;
     next.angle_rad += h * rate->angle_rad;
     next.time_s += h * rate->time_s;
-{{state_moves}}
+    next.{{effect}} += h * rate->{{effect}};
     return next;
 }
 

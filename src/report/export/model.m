@@ -8,13 +8,14 @@ function m = {{name}}()
 %   s = m.step(m.parameters, s, voltage_v, 0.001);
 %   [current_a, speed_rad_s] = m.read(m.parameters, s);
 %   [current_a, speed_rad_s] = m.simulate(m.parameters, time_s, voltage_v);
-{{values}}
+  p.{{key}} = {{value}}; % {{unit}}
   m.parameters = p;
   m.start = @() zeros({{state_count}}, 1);
   m.step = @step;
   m.read = @read;
   m.simulate = @simulate;
-{{regulator_fields}}
+  m.gains.{{gain_key}} = {{gain}};
+  m.regulate = @{{regulate}};
 end
 
 % Voltage drop of the effects, V.
@@ -43,7 +44,7 @@ function rate = rates(p, s, voltage_v, direction)
   end
   rate(3) = s(2);
   rate(4) = 1.0;
-{{state_rates}}
+  rate({{index}}) = {{rate}};
 end
 
 % The state after h seconds, the direction as it is.

@@ -2,11 +2,11 @@ model {{Name}} "{{title}}"
   input Real voltage_v(unit = "V");
   output Real current_a(unit = "A") = i + {{current_reading}} "as the sensor shows it";
   output Real speed_rad_s(unit = "rad/s") = w + {{speed_reading}} "as the sensor shows it";
-{{values}}
+  parameter Real {{key}}(unit = "{{unit}}") = {{value}};
   Real i(unit = "A", start = 0.0, fixed = true);
   Real w(unit = "rad/s", start = 0.0, fixed = true);
   Real angle_rad(unit = "rad", start = 0.0, fixed = true);
-{{states}}
+  Real {{state}}(start = 0.0, fixed = true);
   Real drop_v(unit = "V") "of the effects";
   Real torque_n_m(unit = "N.m") "of the effects, against positive motion";
   Real friction_n_m(unit = "N.m") "always against the motion; it holds the shaft at rest";
@@ -21,7 +21,7 @@ equation
   inductance_h * der(i) = (voltage_v - drop_v - resistance_ohm * i - back_emf_v_s_per_rad * w) * (1.0 + {{current_rate}});
   der(w) = if direction == 0 then 0.0 else (driving_n_m - direction * friction_n_m) / (inertia_kg_m2 * (1.0 + {{inertia}}));
   der(angle_rad) = w;
-{{state_rates}}
+  der({{state}}) = {{rate}};
   comes_to_rest = pre(direction) * w < 0.0;
   breaks_away = pre(direction) == 0 and abs(driving_n_m) > friction_n_m;
   when {initial(), comes_to_rest, breaks_away} then

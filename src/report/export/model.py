@@ -24,7 +24,7 @@ class {{Name}}:
     LONGEST_STEP_S = {{longest_s}}
 
     def __init__(self, **changed):
-{{values}}
+        self.{{key}} = {{value}}  # {{unit}}
         for key, value in changed.items():
             if key not in self.__dict__:
                 raise TypeError(f"{key} is not a parameter: {', '.join(self.__dict__)}")
@@ -58,7 +58,7 @@ class {{Name}}:
             net_n_m / (self.inertia_kg_m2 * (1.0 + {{inertia}})) if direction else 0.0,
             s[1],
             1.0,
-{{state_rates}}
+            {{rate}},
         ])
 
     def runge_kutta(self, s, voltage_v, direction, h):

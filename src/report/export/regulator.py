@@ -13,7 +13,7 @@ class {{Name}}Regulator:
             self.holding_v_s_per_rad,
             self.holding_v,
             self.leaving_s,
-        ) = {{gains}}
+        ) = ({{gains}})
         self.integral_v = self.load_v = self.speed_rad_s = 0.0
         self.reference_rad_s = None
         self.limited = 0.0

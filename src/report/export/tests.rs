@@ -1,5 +1,6 @@
 //! Every target is run and compared with the simulation of the program itself.
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
