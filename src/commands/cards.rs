@@ -3,7 +3,7 @@
 use crate::commands::identify::{Answer, is_usable};
 use crate::commands::report::last_rows;
 use crate::commands::run::CompletedRun;
-use crate::commands::speed::{SpeedResult, delay_text};
+use crate::commands::speed::{SpeedDone, delay_text};
 use crate::report::{Cell, Document, Table, Tone, conventions, tables};
 use crate::runtime::{Recorded, quoted};
 use drivebench_bench::recording::RunFile;
@@ -11,13 +11,12 @@ use drivebench_bench::{
     LoopDelay, Outcome, RunSummary, SpeedReport, StepFigures, Stop, Tracking, Watched,
 };
 use drivebench_identify::misfit::Misfit;
-use drivebench_identify::nameplate::{self, Comparison, Fits};
+use drivebench_identify::nameplate::{self, Fits};
 use drivebench_model::plant::{Model, Motor};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::text::number::{fixed, significant, with_std};
 
-/// Outcome, parameters on line, and whether the nameplate fits.
-pub(crate) fn run(whole: &CompletedRun, plate: Option<&Comparison>) -> Document {
+pub(crate) fn run(whole: &CompletedRun) -> Document {
     let recorded = &whole.recorded;
     let timing = &recorded.summary.timing;
     let (achieved_hz, requested_hz) = (timing.rate_achieved_hz, timing.rate_asked_hz);
@@ -31,7 +30,7 @@ pub(crate) fn run(whole: &CompletedRun, plate: Option<&Comparison>) -> Document 
     let nameplate = Some(&nameplate);
     let how = if whole.is_by_balances { "balances" } else { "on line" };
     tables::parameter_section(&mut document, how, nameplate, &[], estimates, 5);
-    tables::nameplate_section(&mut document, plate);
+    tables::nameplate_section(&mut document, whole.nameplate.as_ref());
     let command = match recorded.summary.outcome {
         Outcome::Done => "diagnose",
         _ => "view",
@@ -53,7 +52,6 @@ fn end_of_run(document: &mut Document, recorded: &Recorded) {
     document.ends_with(last.display().to_string());
 }
 
-/// Outcome, rows and losses of a run.
 fn outcome_document(summary: &RunSummary, rate: &str) -> Document {
     let (outcome, rows) = (summary.outcome.name(), summary.rows);
     let (duration_s, missed) = (summary.duration_s, summary.timing.missed_cycles);
@@ -84,7 +82,6 @@ fn outcome_document(summary: &RunSummary, rate: &str) -> Document {
     document
 }
 
-/// Parameters by `scheme`, and whether the nameplate fits.
 pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
     let combined = || answer.combined.iter();
     let known = combined().filter(|own| is_usable(&own.estimate)).count();
@@ -144,9 +141,9 @@ pub(crate) fn identify(answer: &Answer, scheme: &str) -> Document {
 }
 
 /// Figures of a speed loop, for the card of `speed` and the page of its run.
-pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
+pub(crate) fn speed_loop(done: &SpeedDone) -> Document {
     let mut document = Document::new("", "");
-    let summary = result.summary;
+    let summary = &done.recorded.summary;
     let Some(report) = &summary.speed else {
         return document;
     };
@@ -156,13 +153,13 @@ pub(crate) fn speed_loop(result: &SpeedResult<'_>) -> Document {
     };
     let facts = [
         ("controller", format!("{} over a {} command", report.controller, report.actuator.name())),
-        ("delay at rest", cycles(result.delay_at_rest.as_ref())),
+        ("delay at rest", cycles(done.delay_at_rest.as_ref())),
         ("delay while running", cycles(report.delay.as_ref())),
         ("tuned for", format!("{:.2} cycles", report.timing.delay_cycles())),
         ("cycles without a speed, output held", report.held_cycles.to_string()),
     ];
     document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
-    let other = changed_parameters(result.motor, &summary.estimates);
+    let other = changed_parameters(&done.motor, &summary.estimates);
     document.say("machine", other, 2);
     document.table_on_card("tracking", tracking(report), &["reference followed"], 2);
     document.say("", reduced_gain_text(report), 1);
@@ -222,14 +219,14 @@ fn steps(report: &SpeedReport) -> Table {
         .into()
 }
 
-/// Tracking errors, steps, and the gains at the end.
-pub(crate) fn speed(result: &SpeedResult<'_>, recorded: &Recorded, options: &str) -> Document {
-    let summary = result.summary;
+pub(crate) fn speed(done: &SpeedDone, options: &str) -> Document {
+    let recorded = &done.recorded;
+    let summary = &recorded.summary;
     let mut document = outcome_document(summary, "");
-    document.append(speed_loop(result));
+    document.append(speed_loop(done));
     if summary.outcome == Outcome::Done {
         let both = summary.speed.as_ref().is_some_and(|report| report.tracking.len() > 1);
-        document.go_on(match result.model_file() {
+        document.go_on(match done.model_file() {
             Some(model) if !both => {
                 format!("drivebench speed{options} --model {model} --feed-forward compare")
             }

@@ -27,8 +27,8 @@ use crate::report::wording::diagnosis as words;
 use crate::report::wording::next_run::next_run;
 use crate::report::{Document, tables};
 use crate::runtime::{
-    Audience, Controls, Failure, OpenRig, Recorded, Rig, RigOptions, ScreenEnd, Switches, Terminal,
-    USAGE, conduct, model_file, quoted, read_text, signals,
+    Audience, Controls, Failure, Recorded, Rig, RigOptions, ScreenEnd, Switches, Terminal, USAGE,
+    conduct, model_file, quoted, read_text, signals,
 };
 use crate::tui::{Exit, Opens};
 use crate::workflow::{
@@ -68,7 +68,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
     let of_rig = options.clone();
     let printed = terminal.clone();
     let done = conduct(terminal, audience, move |controls| {
-        commission(of_rig, context, Box::new(Rig::open), controls, |latest| {
+        commission(of_rig, context, controls, |latest| {
             cell.publish(latest.clone());
             if let Some(log) = &mut log {
                 log.print(latest, &printed);
@@ -152,18 +152,14 @@ struct CommissionDone {
 }
 
 /// Carries out the tasks until the commissioning is finished; `context` is for the commands that its steps print.
-///
-/// # Errors
-/// A refusal, a trip, a lost drive or an interruption of a run.
 fn commission(
     options: RigOptions,
     context: CommandContext,
-    open: OpenRig,
     controls: &Controls,
     mut publish: impl FnMut(&Progress),
 ) -> Result<CommissionDone, Failure> {
     let purpose = options.bench.purpose();
-    let mut rig = open(options, None, purpose)?;
+    let mut rig = Rig::open(options, None, purpose)?;
     // On a machine that changes while it runs the hidden effects are not the whole truth: the diagnosis is not scored.
     let emulator = rig.connection.emulator.as_ref();
     let steady = emulator.filter(|emulator| emulator.changes.is_empty());
@@ -554,7 +550,7 @@ fn speed_loop(
     };
     let terminal = &options.terminal;
     let ended = conduct(terminal, Audience::FollowedBy("back to the steps"), move |controls| {
-        speed(request, Box::new(Rig::open), controls)
+        speed(request, controls)
     })?;
     let recorded = ended.work.recorded;
     let diagnosed = by_hand::go_on(&ended.screen, recorded.folder.path(), terminal);

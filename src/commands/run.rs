@@ -57,7 +57,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         // Without a screen, whatever stdout is: there is nothing to watch.
         options.switches.headless = true;
         let done = conduct(terminal, Audience::Headless, move |controls| {
-            connect(options, run_seed, Box::new(Rig::open), controls)
+            connect(options, run_seed, controls)
         })?;
         return terminal.result(&done.work, live.json, Connection::text);
     }
@@ -73,57 +73,43 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
             done.screen.conclude(escalation_failure(escalation))
         }
         RunDone::Run(whole) => {
-            let result = run_result(whole);
-            let document = cards::run(whole, result.nameplate.as_ref());
-            by_hand::finish(done.screen, &whole.recorded, &result, document, live.form(), terminal)
+            let document = cards::run(whole);
+            by_hand::finish(done.screen, &whole.recorded, whole, document, live.form(), terminal)
         }
     }
 }
 
-/// Interrupted between two runs.
 pub(super) const BETWEEN_RUNS: &str =
     "interrupted; nothing is energised, what was recorded is kept";
 
-/// The result as JSON.
-#[derive(Serialize)]
-struct RunResult<'a> {
-    folder: String,
-    plan: &'a Plan,
-    #[serde(flatten)]
-    summary: &'a RunSummary,
-    /// How an unknown motor was found.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    escalation: Option<&'a EscalationResult>,
-    /// The found values compared with the nameplate, where there is one.
-    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
-    nameplate: Option<Comparison>,
-    /// The estimates with their keys.
-    parameters: Map<String, Value>,
-}
-
 pub(crate) enum RunDone {
-    /// The motor could not be found.
     NotFound(Box<EscalationResult>),
     Run(Box<CompletedRun>),
 }
 
+#[derive(Serialize)]
 pub(crate) struct CompletedRun {
     plan: Plan,
+    #[serde(flatten)]
     pub recorded: Recorded,
     /// The estimates are of the balances over the whole record, and not on line.
+    #[serde(skip)]
     pub(super) is_by_balances: bool,
+    /// How an unknown motor was found.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub(crate) escalation: Option<EscalationResult>,
     /// The motor of the bench file.
+    #[serde(skip)]
     pub(super) nameplate_motor: Motor,
     /// The found values compared with it, where it has any.
-    nameplate: Option<Comparison>,
+    #[serde(skip_serializing_if = "Option::is_none", serialize_with = "json::plate")]
+    pub(super) nameplate: Option<Comparison>,
+    /// The estimates with their keys.
+    parameters: Map<String, Value>,
 }
 
-/// Makes one run over the rig that `open` gives. `run_seed`: that of the sequence's random parts; without it `runs.fit` of the
-/// bench file.
-///
-/// # Errors
-/// Why no run began; the end of a run that began is in its record.
+/// Makes one run over the rig that `open` gives; fails where none begins, for the end of a run that began is in its record.
+/// `run_seed`: that of the sequence's random parts; without it `runs.fit` of the bench file.
 pub(crate) fn run(
     options: RigOptions,
     run_seed: Option<u64>,
@@ -155,6 +141,7 @@ pub(crate) fn run(
     let nameplate = rig.nameplate()?.motor();
     let is_by_balances = of_balances(&rig.bench, &mut recorded)?;
     let mut run = CompletedRun {
+        parameters: identify::estimates(&recorded.summary.estimates),
         plan,
         recorded,
         is_by_balances,
@@ -187,17 +174,13 @@ struct Connection {
 }
 
 /// Carries out every check before the first move, predicts the sequence, and leaves the drive stopped: nothing has moved.
-///
-/// # Errors
-/// The check that is not passed, or why the sequence would be refused.
 fn connect(
     options: RigOptions,
     run_seed: Option<u64>,
-    open: OpenRig,
     controls: &Controls,
 ) -> Result<Connection, Failure> {
     let purpose = options.bench.purpose();
-    let mut rig = open(options, run_seed, purpose)?;
+    let mut rig = Rig::open(options, run_seed, purpose)?;
     let checks = rig.check(controls, true)?;
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
     let is_known = rig.bench.nameplate().is_some();
@@ -265,7 +248,7 @@ fn write_results(whole: &mut CompletedRun, nameplate: &Motor, terminal: &Termina
     let recorded = &mut whole.recorded;
     let model = online_model(&recorded.summary, nameplate, recorded.folder.path());
     recorded.write(RunFile::Model, &model.to_toml());
-    let result = serde_json::to_value(run_result(whole)).unwrap_or_default();
+    let result = serde_json::to_value(&*whole).unwrap_or_default();
     whole.recorded.write_result(&result);
     pages::write_run(&mut whole.recorded, Some(&whole.plan), nameplate, None, terminal);
 }
@@ -289,18 +272,6 @@ fn online_model(summary: &RunSummary, nameplate: &Motor, folder: &Path) -> Model
         }
     }
     file
-}
-
-fn run_result(whole: &CompletedRun) -> RunResult<'_> {
-    let recorded = &whole.recorded;
-    RunResult {
-        folder: recorded.folder.path().display().to_string(),
-        plan: &whole.plan,
-        summary: &recorded.summary,
-        escalation: whole.escalation.as_ref(),
-        nameplate: whole.nameplate.clone(),
-        parameters: identify::estimates(&recorded.summary.estimates),
-    }
 }
 
 /// Finds an unknown motor by small currents that rise, and fits the currents of the bench to it; what was found, in a sentence.
@@ -446,7 +417,6 @@ pub(crate) fn escalate(
     Ok(result)
 }
 
-/// The failure of an escalation that found no motor.
 pub(crate) fn escalation_failure(result: &EscalationResult) -> Option<Failure> {
     let ending = result.ending.as_ref()?;
     let status = match ending {

@@ -13,14 +13,14 @@ use crate::commands::arguments::{LiveArguments, by_name};
 use crate::commands::run::print_checks;
 use crate::commands::{by_hand, cards, pages};
 use crate::runtime::{
-    Controls, Failure, OpenRig, Recorded, Rig, RigOptions, SpeedAbout, Terminal, conduct, files,
-    nameplate, output, wired_profile,
+    Controls, Failure, Recorded, Rig, RigOptions, SpeedAbout, Terminal, conduct, files, nameplate,
+    output, wired_profile,
 };
 use drivebench_bench::recording::RunFile;
 use drivebench_bench::{
     BenchFile, CheckReport, ControllerKind, Design, EMBEDDED_NAME, ForwardUse, Limits, LoopDelay,
-    Nameplate, PilotSettings, Reference, Regulator, RegulatorError, RunSummary, SpeedPilot,
-    SpeedSection, loop_timing,
+    Nameplate, PilotSettings, Reference, Regulator, RegulatorError, SpeedPilot, SpeedSection,
+    loop_timing,
 };
 use drivebench_control::Actuator;
 use drivebench_control::tuning::Rule;
@@ -82,12 +82,10 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
         source: live.source()?,
         own: arguments.own,
     };
-    let done = conduct(terminal, live.audience(None), move |controls| {
-        speed(request, Box::new(Rig::open), controls)
-    })?;
-    let (result, recorded) = (speed_result(&done.work), &done.work.recorded);
-    let document = cards::speed(&result, recorded, &options);
-    by_hand::finish(done.screen, recorded, &result, document, form, terminal)
+    let done = conduct(terminal, live.audience(None), move |controls| speed(request, controls))?;
+    let result = &done.work;
+    let document = cards::speed(result, &options);
+    by_hand::finish(done.screen, &result.recorded, result, document, form, terminal)
 }
 
 /// Least standard deviation of a speed sample, rad/s: at rest a sensor may show no noise.
@@ -100,23 +98,22 @@ pub(crate) struct SpeedRequest {
     pub own: LoopArguments,
 }
 
-/// The result as JSON.
+/// A loop that was recorded.
 #[derive(Serialize)]
-pub(crate) struct SpeedResult<'a> {
-    pub(crate) folder: String,
+pub(crate) struct SpeedDone {
     rule: Rule,
     /// The model's file, or `nameplate`.
     model: String,
     /// Motor that the loop was tuned on.
     #[serde(skip)]
-    pub(super) motor: &'a Motor,
+    pub(super) motor: Motor,
     /// At rest, before the loop was tuned; null where the drive does not report when a command was applied.
-    pub(crate) delay_at_rest: Option<LoopDelay>,
+    pub(super) delay_at_rest: Option<LoopDelay>,
     #[serde(flatten)]
-    pub(crate) summary: &'a RunSummary,
+    pub(super) recorded: Recorded,
 }
 
-impl SpeedResult<'_> {
+impl SpeedDone {
     /// The model's file as a shell takes it; none where the loop was tuned on the nameplate.
     pub(super) fn model_file(&self) -> Option<String> {
         (self.model != NAMEPLATE).then(|| output::quoted_word(&self.model))
@@ -125,15 +122,6 @@ impl SpeedResult<'_> {
 
 /// Name of the model where none was given.
 const NAMEPLATE: &str = "nameplate";
-
-/// A loop that was recorded.
-pub(super) struct SpeedDone {
-    pub recorded: Recorded,
-    rule: Rule,
-    model: String,
-    motor: Motor,
-    delay: Option<LoopDelay>,
-}
 
 /// All of a loop that is known before the link is opened.
 struct LoopParts {
@@ -258,20 +246,13 @@ fn maps(paths: &[PathBuf], used: ForwardUse) -> Result<Vec<TorqueMap>, Failure> 
     Ok(maps)
 }
 
-/// Regulates the speed over the rig that `open` gives.
-///
-/// # Errors
-/// Why no run began; the end of a run that began is in its record.
-pub(crate) fn speed(
-    request: SpeedRequest,
-    open: OpenRig,
-    controls: &Controls,
-) -> Result<SpeedDone, Failure> {
+/// Regulates the speed; fails where no run begins, for the end of a run that began is in its record.
+pub(crate) fn speed(request: SpeedRequest, controls: &Controls) -> Result<SpeedDone, Failure> {
     let mut bench = request.rig.bench.clone();
     let parts = LoopParts::new(&request, &mut bench)?;
     // With the least delay that an exchange can have: what is refused now is refused before anything is opened.
     parts.regulator(parts.period_s, LEAST_NOISE_RAD_S)?;
-    let mut rig = open(request.rig, None, Purpose::SpeedLoop)?;
+    let mut rig = Rig::open(request.rig, None, Purpose::SpeedLoop)?;
     rig.bench.speed = Some(parts.section.clone());
     let report = rig.check(controls, false)?;
     let delay = rig.measure_delay(controls)?;
@@ -325,16 +306,16 @@ pub(crate) fn speed(
         rule,
         model,
         motor: parts.model.model.motor.clone(),
-        delay,
+        delay_at_rest: delay,
     };
     done.recorded.write(RunFile::Model, &parts.model.to_toml());
-    let result = serde_json::to_value(speed_result(&done)).unwrap_or_default();
+    let result = serde_json::to_value(&done).unwrap_or_default();
     done.recorded.write_result(&result);
     if let Some(report) = done.recorded.summary.speed.as_ref() {
         if let Some(text) = report.adaptation.clone() {
             done.recorded.write(RunFile::Adaptation, &text);
         }
-        let page = cards::speed_loop(&speed_result(&done));
+        let page = cards::speed_loop(&done);
         pages::write_run(
             &mut done.recorded,
             None,
@@ -360,7 +341,6 @@ fn unchecked_encoder(report: &CheckReport, actuator: Actuator) -> Option<String>
     ))
 }
 
-/// Dead time of the converter.
 fn converter(limits: &Limits) -> Option<String> {
     let dead_ms = 1e3 * limits.dead_time_s;
     (dead_ms > 0.0).then(|| {
@@ -387,7 +367,6 @@ fn noise(report: &CheckReport) -> f64 {
     of_speed.map_or(LEAST_NOISE_RAD_S, |floor| floor.std.max(LEAST_NOISE_RAD_S))
 }
 
-/// Checks, delay and gains.
 fn print_loop(
     report: &CheckReport,
     delay: Option<&LoopDelay>,
@@ -418,15 +397,4 @@ pub(crate) fn delay_text(delay: &LoopDelay) -> String {
     let (median, p99) = (delay.median_cycles, delay.p99_cycles);
     let median_ms = 1e3 * delay.median_s;
     format!("{median:.2} cycles ({median_ms:.2} ms), 99 % within {p99:.2}")
-}
-
-fn speed_result(done: &SpeedDone) -> SpeedResult<'_> {
-    SpeedResult {
-        folder: done.recorded.folder.path().display().to_string(),
-        rule: done.rule,
-        model: done.model.clone(),
-        motor: &done.motor,
-        delay_at_rest: done.delay,
-        summary: &done.recorded.summary,
-    }
 }

@@ -3,7 +3,7 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use serde_json::Value;
 
 use crate::report::wording::{record, sanity as words, times};
@@ -211,6 +211,20 @@ struct KeptResult<'a, T> {
     #[serde(flatten)]
     result: &'a T,
     online: &'a OnlineResult,
+}
+
+/// Folder and summary, as a part of the result of a command.
+impl Serialize for Recorded {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct Part<'a> {
+            folder: String,
+            #[serde(flatten)]
+            summary: &'a RunSummary,
+        }
+        let folder = self.folder.path().display().to_string();
+        Part { folder, summary: &self.summary }.serialize(serializer)
+    }
 }
 
 impl Recorded {
