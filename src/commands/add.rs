@@ -116,12 +116,10 @@ pub(super) fn execute_remove(arguments: &Arguments, terminal: &Terminal) -> Resu
     run(arguments, None, terminal)
 }
 
-/// The effect of the catalogue with this id.
 fn known(id: &str) -> Result<&'static dyn Effect, Failure> {
     effect::find(id).ok_or_else(|| unknown_effect(id))
 }
 
-/// The effect with this id as the model has it.
 fn of_model(model: &Model, id: &str) -> Result<&'static dyn Effect, Failure> {
     let active = model.effects.iter().find(|active| active.id() == id);
     active.map_or_else(|| known(id), |active| Ok(active.effect))

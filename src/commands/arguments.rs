@@ -65,12 +65,10 @@ pub(super) struct FileArguments {
 }
 
 impl FileArguments {
-    /// The map as it is given.
     pub(super) fn map(&self) -> Result<Option<ColumnMap>, Failure> {
         Ok(self.map.as_deref().map(str::parse).transpose()?)
     }
 
-    /// The options with this map.
     pub(super) fn options<'a>(&'a self, map: Option<&'a ColumnMap>) -> ReadOptions<'a> {
         ReadOptions { map, ..self.text.options() }
     }
@@ -539,7 +537,6 @@ impl LiveArguments {
     }
 }
 
-/// The value with this name.
 pub(super) fn by_name<T: Copy, const N: usize>(
     all: [T; N],
     name: impl Fn(T) -> &'static str,

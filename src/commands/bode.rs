@@ -200,7 +200,6 @@ impl Bode {
         }
     }
 
-    /// Modes of the other pathways.
     fn other_modes(&self, shown: Pathway) -> Vec<String> {
         let measured = &self.compared.measured;
         let others = Pathway::ALL.into_iter().filter(|own| *own != shown);
@@ -358,7 +357,6 @@ impl Bode {
         }
     }
 
-    /// The runs, and the model.
     fn title(&self) -> String {
         let runs = self.runs.join(" and ");
         let model = self.model_from.as_ref();

@@ -110,7 +110,6 @@ impl ScreenResult {
     }
 }
 
-/// A screen that was closed.
 pub(crate) struct Closed {
     exit: Exit,
     hang_up: Arc<AtomicBool>,
@@ -193,7 +192,6 @@ pub(super) fn show_prepared(
     show(discovery, shown, terminal)
 }
 
-/// Shows the screen until it is left.
 pub(crate) fn show(
     discovery: Discovery,
     shown: Shown,
@@ -267,7 +265,6 @@ fn exit_of(watched: ScreenReturn) -> Result<Exit, Failure> {
     }
 }
 
-/// Shows a frequency response until its screen is left.
 pub(crate) fn show_response(
     title: String,
     compared: Compared,
@@ -293,12 +290,10 @@ fn written_text(path: &str) -> String {
     format!("model written to {path}")
 }
 
-/// The thread behind the screen.
 struct Worker {
     shown: Shown,
     news: Sender<News>,
     result: Arc<Mutex<ScreenResult>>,
-    /// The screen was left.
     gone: Arc<AtomicBool>,
     terminal: Terminal,
 }

@@ -104,7 +104,6 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     check_fit(&comparison, arguments.min_fit)
 }
 
-/// Two models on the same run.
 fn both(
     arguments: &Arguments,
     first: &Path,

@@ -127,7 +127,6 @@ fn units(text: &str) -> Result<(u8, u8), String> {
     }
 }
 
-/// One port in a few lines.
 fn port_text(port: &SerialPortInfo) -> String {
     let mut text = format!("{}\n", port.path.display());
     let by_id = port.by_id.iter().map(|name| name.display());
@@ -163,7 +162,6 @@ fn latency(root: &Path, port: &SerialPortInfo, set: bool) -> Option<Latency> {
 /// Requests of the round-trip probe.
 const PROBES: usize = 50;
 
-/// What came of the requests.
 #[derive(Default)]
 struct Probed {
     /// Of those that were answered.
@@ -230,7 +228,6 @@ struct Settings {
     unit: u8,
 }
 
-/// The latency timer of an FTDI adapter.
 #[derive(Serialize)]
 struct Latency {
     before_ms: u32,
@@ -239,7 +236,6 @@ struct Latency {
     refused: Option<String>,
 }
 
-/// Measured round trips, and what follows from them.
 #[derive(Serialize)]
 struct RoundTripFindings {
     asked: usize,

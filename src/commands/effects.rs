@@ -32,7 +32,6 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
 /// A card and the parameters that go with it.
 type Entry = (&'static Card, &'static [ParameterSpec]);
 
-/// All effects, or the one with this id.
 fn chosen(id: Option<&str>) -> Result<Vec<Entry>, Failure> {
     let catalogue = effect::CATALOGUE.iter().map(|effect| (effect.card(), effect.parameters()));
     // An effect that the user or the data define has its parameters in its settings.

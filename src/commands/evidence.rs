@@ -35,7 +35,6 @@ const FEWEST_HELD_OUT: usize = 20;
 /// Share of a hold-out's samples that may be those of the fitted run.
 const MOST_SHARED: f64 = 0.5;
 
-/// The files that a command names.
 #[derive(Clone, Copy)]
 pub(crate) struct EvidenceFiles<'a> {
     pub(crate) terminal: &'a Terminal,
@@ -76,7 +75,6 @@ impl Judging {
     }
 }
 
-/// A model and its origin.
 pub(crate) struct ChosenModel {
     pub(crate) file: ModelFile,
     pub(crate) from: String,
@@ -331,9 +329,6 @@ fn limited_note(run: &Run) -> Option<String> {
 }
 
 /// Checks a later run before it is fitted together with earlier ones; returns its scenario and notes.
-///
-/// # Errors
-/// Why nothing can be judged by it.
 pub(crate) fn admit_later(
     loaded: &LoadedRun,
     model: &Model,
@@ -732,7 +727,6 @@ fn not_identified(slot: &Slot, model: &Model, refusal: &Finding) -> ParameterEst
     }
 }
 
-/// The bench of the recommended run, and its limits.
 pub(crate) struct RecommendationBench {
     bench: Option<BenchFile>,
     limits: ExperimentLimits,
@@ -784,7 +778,6 @@ impl RecommendationBench {
         Ok(())
     }
 
-    /// Limits of the next run.
     pub(crate) const fn limits(&self) -> ExperimentLimits {
         self.limits
     }

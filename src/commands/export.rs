@@ -116,7 +116,6 @@ impl Format {
     }
 }
 
-/// The run as columns.
 fn columns(arguments: &Arguments, run: &Path, terminal: &Terminal) -> Result<(), Failure> {
     let Some(path) = &arguments.output else {
         let help = "add --output FILE: Parquet is binary and is not printed";

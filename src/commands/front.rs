@@ -22,7 +22,6 @@ const PROCEDURE: &str = "  connect   ports, doctor       what is plugged in; doe
 `commission` does all steps by itself; `drivebench help` lists every command.
 ";
 
-/// Files of a folder.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 struct Found {
     benches: Vec<String>,

@@ -276,7 +276,6 @@ pub(crate) struct OneRun {
     findings: Vec<Finding>,
 }
 
-/// The result of `identify`.
 pub(crate) struct Answer {
     pub(crate) runs: Vec<OneRun>,
     /// One fit to all of several runs.
@@ -327,7 +326,6 @@ pub(crate) fn is_found(parameter: &ParameterEstimate) -> bool {
     is_usable(parameter) && parameter.verdict != Verdict::Fixed
 }
 
-/// The motor of a nameplate file.
 fn nameplate_motor(path: &Path) -> Result<Motor, Failure> {
     let file: MotorSection = config_text::parse(&path.display().to_string(), &read_text(path)?)?;
     Ok(file.motor())
@@ -510,7 +508,6 @@ pub(crate) fn period_s(run: &Run) -> Option<f64> {
     [Channel::Current, Channel::Speed].into_iter().find_map(|channel| run.period_s(channel))
 }
 
-/// Estimates by their keys.
 pub(crate) fn estimates(parameters: &[ParameterEstimate]) -> Map<String, Value> {
     keyed(parameters.iter().map(|p| (p.key.as_str(), p)))
 }

@@ -55,7 +55,6 @@ use clap::{Parser, Subcommand};
 use crate::runtime::{Failure, Terminal};
 use crate::tui::Appearance;
 
-/// Exit statuses, as `--help` prints them.
 const EXIT_STATUSES: &str = "\
 Exit status:
   0    done and passed (any verdict of diagnose)
@@ -123,7 +122,6 @@ enum Command {
     Man(shell::Man),
 }
 
-/// Runs the program with the process's arguments.
 pub fn main() -> ExitCode {
     program(execute)
 }

@@ -282,7 +282,6 @@ fn far_end(port: &str, profile: &DriveProfile, terminal: &Terminal) -> Result<Fa
     Ok(FarEnd { target: address.parse()?, _server: server })
 }
 
-/// Probes the drive with its profile.
 fn look(
     far_end: &FarEnd,
     profile: &DriveProfile,
@@ -373,7 +372,6 @@ fn limits_in_memory(profile: &DriveProfile) -> Readback {
 
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub(crate) struct Scan {
-    /// Settings that were tried.
     pub(crate) tried: usize,
     /// Baud rate and framing of the first answer.
     pub(crate) found: Option<(u32, Framing)>,

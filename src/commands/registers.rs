@@ -290,7 +290,6 @@ fn consent(arguments: &WriteArguments, is_emulator: bool) -> Result<(), Failure>
     }
 }
 
-/// The result as JSON.
 #[derive(Serialize)]
 struct ReadResult {
     reads: Vec<ReadOutcome>,
@@ -456,7 +455,6 @@ fn verdict(batch: Batch) -> Result<(), Failure> {
     }
 }
 
-/// The result as JSON.
 #[derive(Serialize)]
 struct WriteResult<'a> {
     address: u16,

@@ -72,7 +72,6 @@ struct Reported {
 }
 
 impl Reported {
-    /// A few lines, the page last.
     fn document(&self) -> Document {
         let mut document = Document::new("", "");
         if let (Some(run), Some(rows), Some(duration_s)) = (&self.run, self.rows, self.duration_s) {

@@ -15,13 +15,11 @@ use drivebench_model::text::lines::capitalised;
 use drivebench_model::text::number::{fit, fixed, r_min, share, significant};
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Everything that the page of a comparison is made of.
 #[derive(Clone, Debug)]
 pub struct ComparisonReport<'a> {
     pub title: &'a str,
     pub context: &'a Context,
     pub comparison: &'a Comparison,
-    /// Which model is judged.
     pub model: &'a str,
     /// Whether there is an objection to the hold-out; the notes of the context have the reason.
     pub holdout_objected: bool,

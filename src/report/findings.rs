@@ -198,7 +198,6 @@ pub fn curve_chart(curve: &EffectCurve) -> AxisChart {
     }
 }
 
-/// The picture of a curve.
 pub fn curve_picture(curve: &EffectCurve) -> String {
     let description = format!("{} error over {}", curve.equation, location::axis_label(curve));
     curve_chart(curve).svg(&description)

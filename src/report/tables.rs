@@ -8,7 +8,6 @@ use drivebench_model::plant::Model;
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::text::number;
 
-/// The nameplate's value of a parameter.
 fn given(nameplate: Option<&Model>, key: &str) -> Option<f64> {
     let model = nameplate?;
     let slot = model.slots().into_iter().find(|slot| slot.key() == key)?;

@@ -46,7 +46,6 @@ pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
     );
 }
 
-/// Names of the models before and after.
 pub(super) const fn model_names(changed: bool) -> [&'static str; 2] {
     if changed { ["model before", "model after"] } else { ["model", ""] }
 }

@@ -43,7 +43,6 @@ pub(crate) struct Ended<T> {
     pub screen: ScreenEnd,
 }
 
-/// How the screen of the work ended.
 #[derive(Debug)]
 pub(crate) enum ScreenEnd {
     NoScreen,
@@ -51,7 +50,6 @@ pub(crate) enum ScreenEnd {
     Screen(Exit),
     /// The terminal was closed, or failed.
     Gone(Failure),
-    /// The screen has panicked.
     Panicked(Failure),
 }
 
@@ -235,7 +233,6 @@ fn rank_effects(
     Ok(())
 }
 
-/// How a screen was left.
 pub(crate) enum ScreenReturn {
     Left(Exit),
     /// With the reason.
@@ -341,7 +338,6 @@ fn panic_text(panic: &(dyn Any + Send)) -> &str {
         .unwrap_or("no text")
 }
 
-/// A thread with a name.
 pub(crate) fn spawn<T: Send + 'static>(
     name: &str,
     work: impl FnOnce() -> T + Send + 'static,

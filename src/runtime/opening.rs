@@ -212,7 +212,6 @@ pub(crate) fn serve(
         .map_err(|error| Failure::link(error.to_string(), error.help()))
 }
 
-/// The address of a served emulator.
 pub(crate) fn address(protocol: drive::Protocol, handle: &ServerHandle) -> String {
     if protocol.is_network() {
         format!("tcp:{}", handle.address())
@@ -288,7 +287,6 @@ impl Drop for Tap {
     }
 }
 
-/// Opens a link again.
 pub(crate) struct Reopener {
     pub(crate) link: String,
     pub(crate) limit_s: Option<f64>,

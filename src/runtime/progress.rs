@@ -106,7 +106,6 @@ impl Drop for ProgressLine {
     reason = "the clock of the progress line: nothing that is computed depends on it"
 )]
 impl Terminal {
-    /// Shows the progress of `command` from now on.
     pub fn progress(&self, command: &'static str) -> ProgressLine {
         let now = Instant::now();
         self.messages().work = Some(Work {
@@ -151,7 +150,6 @@ impl Terminal {
         }
     }
 
-    /// The progress of a diagnosis.
     pub(crate) fn diagnosis(&self, event: Event) {
         let (text, of) = match event {
             Event::Begun { stage, of } => match stage {

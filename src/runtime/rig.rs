@@ -175,7 +175,6 @@ pub(crate) struct Rig {
     power: DriveCell,
 }
 
-/// An open connection to a drive.
 pub(crate) struct Connection {
     pub(crate) link: Box<dyn DriveLink>,
     pub(crate) clock: Box<dyn Clock + Send>,

@@ -35,7 +35,6 @@ pub enum Press {
     Remove,
     Map,
     Next,
-    /// The curve that the error follows.
     Curve,
     /// Adds that curve as a table.
     Table,
@@ -137,7 +136,6 @@ const HELP: [(On, &str, &str); 34] = [
     (On::Every, "?", "this help"),
 ];
 
-/// The rows of the help for one kind of screen.
 pub(super) fn help(on: On) -> impl Iterator<Item = (&'static str, &'static str)> {
     HELP.iter().filter(move |row| row.0 == On::Every || row.0 == on).map(|row| (row.1, row.2))
 }

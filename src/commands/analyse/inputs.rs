@@ -12,9 +12,6 @@ use drivebench_bench::recording::{RunFile, RunFolder, resolved};
 const DEEPEST: usize = 8;
 
 /// Every run that is named, sorted by its path.
-///
-/// # Errors
-/// A path that does not exist, and a pattern without a match.
 pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     // By canonical path: a run that is named twice, or also by a link, is one run.
     let mut found: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();

@@ -107,7 +107,6 @@ impl Analysed {
         } += 1;
     }
 
-    /// The sums in one line.
     fn text(&self) -> String {
         let mut text = format!(
             "{}: {} runs, {} ok, {} not identified, {} unread",
@@ -228,7 +227,6 @@ fn analyse(arguments: &Arguments, terminal: &Terminal) -> Result<Analysed, Failu
     Ok(sum)
 }
 
-/// Output of the rows.
 struct Sink<'a> {
     table: Option<Table>,
     columns: Vec<(String, ColumnKind)>,

@@ -22,7 +22,6 @@ use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench_model::plant::{Input, Model, MotorKey, Slot};
 use drivebench_model::sample::ParameterEstimate;
 
-/// A cell of the table.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Cell {
     Empty,
@@ -106,7 +105,6 @@ impl Columns {
         Self { model, keys }
     }
 
-    /// Every column with the kind of its values.
     pub(super) fn all(&self) -> Vec<(String, ColumnKind)> {
         let nothing = Found::default();
         let columns = self.of_run(("", "", ""), (Status::Unread, ""), &nothing, Vec::new());
@@ -244,7 +242,6 @@ struct Found {
     answer: Option<Diagnosis>,
 }
 
-/// Facts of a record.
 #[derive(Default)]
 struct About {
     manifest: Manifest,

@@ -132,7 +132,6 @@ impl Table {
         (place.content == content).then_some(place.status)
     }
 
-    /// Appends a row.
     pub(super) fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
         let texts: Vec<String> = cells.iter().map(Cell::text).collect();
         let line = line_of(&texts);
@@ -255,7 +254,6 @@ fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
     Failure::usage(format!("{}: cannot read: {error}", path.display()), "check the path")
 }
 
-/// Rows of an earlier analysis.
 struct EarlierRows<'a> {
     analysis: &'a str,
     rows: HashMap<String, RowLocation>,

@@ -21,7 +21,6 @@ use drivebench_bench::recording::{Machine, Manifest, RunFile, RunFolder};
 use drivebench_identify::drift::{Drift, DriftCaution, between};
 use drivebench_model::sample::ParameterEstimate;
 
-/// What a suite is compared with.
 pub(super) struct Baseline {
     sources: Vec<Source>,
     /// Another machine is accepted.
@@ -43,9 +42,6 @@ impl Baseline {
 
     /// Compares what a step found on a machine with what was found before; `identify` does to an earlier run what the step
     /// did.
-    ///
-    /// # Errors
-    /// Why it cannot be compared.
     pub(super) fn drift(
         &self,
         (case, step): (&str, &str),
@@ -130,9 +126,6 @@ impl Baseline {
 }
 
 /// What a step found on which machine and, where there is a baseline, what has drifted since.
-///
-/// # Errors
-/// As [`Baseline::drift`].
 pub(super) fn found(
     baseline: Option<&Baseline>,
     names: (&str, &str),
@@ -154,9 +147,6 @@ pub(super) fn found(
 }
 
 /// The parameters that the command of a step finds in an earlier run.
-///
-/// # Errors
-/// Why it finds none.
 pub(super) fn identified(
     command: Command,
     [stdout, stderr]: [PathBuf; 2],

@@ -34,14 +34,12 @@ pub(super) struct Bench<'a> {
     pub(super) baseline: Option<&'a Baseline>,
 }
 
-/// Result of an earlier step.
 struct StepResult {
     result: Value,
     /// The run that it recorded or analysed.
     run: Option<PathBuf>,
 }
 
-/// Why a case ended.
 struct Ended {
     verdict: Verdict,
     status: Option<u8>,
@@ -63,7 +61,6 @@ struct Progress<'a> {
     seed: u64,
     folder: &'a Path,
     results: BTreeMap<String, StepResult>,
-    /// Name of the last command.
     last: Option<String>,
     /// Name of the last command with a run.
     last_with_run: Option<String>,
@@ -267,7 +264,6 @@ impl Progress<'_> {
         Ok(())
     }
 
-    /// The port of a live command.
     fn port(&self) -> String {
         match &self.drive {
             Some((drive, _)) => drive.port(),
@@ -369,7 +365,6 @@ impl Progress<'_> {
         }
     }
 
-    /// The arguments of a command.
     fn arguments(
         &self,
         verb: Verb,
@@ -447,7 +442,6 @@ impl Progress<'_> {
         Ok(format!("{}{rest}", run.display()))
     }
 
-    /// The bench file of the case.
     fn bench_path(&self) -> Result<Option<PathBuf>, Ended> {
         let Some(bench) = &self.case.bench else {
             return Ok(None);

@@ -219,10 +219,7 @@ fn selected<'a>(suite: &'a Suite, filter: &[String]) -> Result<Vec<&'a Case>, Fa
     Ok(cases)
 }
 
-/// Carries a suite out.
-///
-/// # Errors
-/// Why the suite did not begin; the results of the cases are in the outcome.
+/// Fails where the suite cannot begin; the results of the cases are in the outcome.
 fn carry_out(
     suite: &Suite,
     arguments: &Arguments,

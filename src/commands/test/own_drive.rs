@@ -70,7 +70,6 @@ impl OwnDrive {
         if self.is_network { format!("tcp:{}", self.address) } else { self.address.clone() }
     }
 
-    /// It has ended.
     pub(super) fn is_gone(&mut self) -> bool {
         !self.child.try_wait().is_ok_and(|ended| ended.is_none())
     }

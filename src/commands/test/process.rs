@@ -20,7 +20,6 @@ use serde_json::Value;
 /// Between two polls of a process.
 pub(super) const POLL: Duration = Duration::from_millis(5);
 
-/// How a process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum End {
     /// By itself, with this exit status.
@@ -36,7 +35,6 @@ pub(super) struct Done {
     pub(super) took_s: f64,
 }
 
-/// A stopwatch.
 pub(super) struct Watch(Instant);
 
 impl Watch {

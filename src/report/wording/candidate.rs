@@ -145,7 +145,6 @@ pub fn detectable_from(own: &Candidate) -> Option<String> {
     sized(own, "detectable from", own.detectable)
 }
 
-/// A size in the unit of the parameter that gives the effect its size.
 fn sized(own: &Candidate, lead: &str, size: Option<f64>) -> Option<String> {
     let unit = unit_of_size(effect::find(own.effect)?);
     let size = bound(size, unit, own.run_s)?;

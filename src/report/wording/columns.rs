@@ -207,7 +207,6 @@ pub fn unused(unused: &Unused) -> String {
     }
 }
 
-/// Reasons as one text.
 pub fn all(reasons: &[Reason]) -> String {
     reasons.iter().map(reason).collect::<Vec<_>>().join("; ")
 }

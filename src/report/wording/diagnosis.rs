@@ -32,7 +32,6 @@ pub const fn answer(answer: Answer) -> &'static str {
     }
 }
 
-/// The answer in one sentence.
 pub fn diagnosis(found: &Diagnosis) -> String {
     let (begin, rest) = parts(found);
     format!("{begin}{rest}")
@@ -253,7 +252,6 @@ pub fn unknown(part: &Unknown) -> String {
     format!("{percent:.0} % of the error: an unknown {} that follows {axis}", part.equation)
 }
 
-/// What the confirming run shows.
 pub fn confirmation(found: &Diagnosis, confirm: &Confirmation) -> String {
     let times = times(found.noise_floor_from);
     let before = confirm.error_before.unwrap_or(f64::NAN);

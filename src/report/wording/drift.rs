@@ -7,7 +7,6 @@ use drivebench_identify::temperature;
 use drivebench_model::plant::{MotorKey, effect};
 use drivebench_model::text::number::{exponent_of, fixed, places, probability, significant};
 
-/// The name of a parameter.
 pub fn name(key: &str) -> String {
     let name = match MotorKey::from_key(key) {
         Some(MotorKey::LoadTorque) => "friction (load torque)",
@@ -18,7 +17,6 @@ pub fn name(key: &str) -> String {
     name.to_owned()
 }
 
-/// The answer in one line.
 pub fn drift(found: &Drift) -> String {
     let since = &found.since;
     let list = |is: fn(&&Change) -> bool| {
@@ -51,7 +49,6 @@ pub fn drift(found: &Drift) -> String {
     format!("{answer}; not compared: {}", open.join(", "))
 }
 
-/// The change of one parameter.
 pub fn change(change: &Change, since: &str) -> String {
     let name = name(&change.key);
     match (change.finding, change.at_most_percent()) {
@@ -77,7 +74,6 @@ pub fn change(change: &Change, since: &str) -> String {
     }
 }
 
-/// Possible cause of a change.
 pub fn cause(cause: &DriftCause) -> String {
     let words = match cause {
         DriftCause::Winding { kelvin, warmer } => {
@@ -135,7 +131,6 @@ fn one_caution(caution: &DriftCaution) -> String {
     words.to_owned()
 }
 
-/// Why a parameter was not compared.
 pub fn not_compared(found: &NotCompared) -> String {
     let reason = match found.not_carried {
         NotCarried::ByEither => "not observable in the runs of either date",

@@ -39,7 +39,6 @@ fn unit_of(equation: &str) -> &'static str {
     if equation == "voltage" { "V" } else { "N.m" }
 }
 
-/// A place where an equation fails.
 pub fn location(found: &FailureLocation) -> String {
     let sentence = |of_error: f64, what: &dyn Display| {
         format!("{} of the {} error {what}", share(of_error), found.equation)
@@ -217,7 +216,6 @@ pub fn failure(comparison: &Comparison) -> String {
     words.to_owned()
 }
 
-/// The error over an axis.
 pub fn axis_map(map: &AxisMap) -> String {
     let what = map.equation;
     let axis_text = |integrated: bool| {
@@ -283,7 +281,6 @@ pub fn axis_label(curve: &EffectCurve) -> String {
     format!("{}, {}", axis_name(curve), curve.axis_unit)
 }
 
-/// What a curve shows.
 pub fn curve(curve: &EffectCurve) -> String {
     let unit = curve.unit;
     let rms = |value: f64| significant(value, 2);

@@ -5,7 +5,6 @@ use drivebench_identify::nameplate::{
 };
 use drivebench_model::text::number::{significant, with_std};
 
-/// Whether it fits.
 pub fn nameplate(found: &Comparison) -> String {
     let fits = match found.finding() {
         NameplateFinding::Doubted => found.doubt.as_ref().map_or_else(String::new, doubt),
@@ -60,7 +59,6 @@ pub fn row(row: &Row) -> String {
     }
 }
 
-/// Possible cause of the differences.
 pub fn cause(cause: &NameplateCause) -> String {
     let words = match cause {
         NameplateCause::RpmForRadPerS => "speed in r/min taken for rad/s (factor 9.55)",

@@ -107,7 +107,6 @@ pub fn hidden_reason(hidden: &Hidden) -> String {
     }
 }
 
-/// A run of the menu.
 fn program(id: &str) -> &'static str {
     match id {
         "rich" => "the rich sequence (steps, slow ramp, pseudo-random levels and sine, both ways)",

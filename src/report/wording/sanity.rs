@@ -20,7 +20,6 @@ const fn rows_of(count: usize) -> &'static str {
     if count == 1 { "row" } else { "rows" }
 }
 
-/// The evidence of a fault.
 pub fn fault(fault: &Fault) -> String {
     match fault {
         Fault::Signal(own) => signal(own),

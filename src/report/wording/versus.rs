@@ -35,7 +35,6 @@ pub fn versus(found: &Versus) -> String {
     }
 }
 
-/// Whether two runs are of one motor.
 pub fn motor_match(found: &MotorMatch) -> String {
     let (first, second) = (found.first, found.second);
     let figures = format!(

@@ -25,7 +25,6 @@ use drivebench_model::plant::effect::CATALOGUE;
 use drivebench_model::plant::testing::with_a_fan;
 use drivebench_model::sample::Channel;
 
-/// The diagnosis once the effect is in the model.
 fn nothing_more() -> Diagnosis {
     Diagnosis {
         verdict: DiagnosisVerdict::None,
@@ -134,7 +133,6 @@ fn of_a_fan() -> State {
     state
 }
 
-/// The fan was added just now.
 fn just_added() -> State {
     let mut state = pressed(of_a_fan(), "a");
     receive(&mut state, added("quadratic_load", true));
@@ -142,7 +140,6 @@ fn just_added() -> State {
     state
 }
 
-/// The fall of the error is half drawn.
 fn falling() -> State {
     let mut state = just_added();
     for _ in 0..FRAMES / 2 {

@@ -34,7 +34,6 @@ const MEANING: [&str; 5] = [
     "A name is an equation, not a cause: the card lists causes that share it.",
 ];
 
-/// The areas of the page.
 struct Areas {
     top: Rect,
     verdict: Rect,

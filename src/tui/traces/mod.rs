@@ -278,7 +278,6 @@ impl TracesPage {
         }
     }
 
-    /// The keys of the page, by priority.
     pub(super) const KEYS: &'static str =
         "j worst place|+ - zoom|, . pan|Left Right cursor|o signals|Tab other run";
 }
