@@ -116,6 +116,7 @@ impl Format {
     }
 }
 
+/// The table of a run as Parquet: all columns of a run folder, else the columns that were read.
 fn columns(arguments: &Arguments, run: &Path, terminal: &Terminal) -> Result<(), Failure> {
     let Some(path) = &arguments.output else {
         let help = "add --output FILE: Parquet is binary and is not printed";
@@ -123,8 +124,17 @@ fn columns(arguments: &Arguments, run: &Path, terminal: &Terminal) -> Result<(),
     };
     require_parquet()?;
     let loaded = arguments.map.load(run, terminal)?;
-    let folder = (run.is_dir() && !arguments.map.is_given()).then_some(run);
-    terminal.file(path, &run_as_parquet(&loaded, folder, terminal)?)?;
+    let is_whole = run.is_dir() && !arguments.map.is_given() && loaded.run.rows_dropped == 0;
+    let table = if is_whole {
+        let samples = RunFolder::existing(run).samples();
+        std::fs::read(&samples).map_err(|error| output::cannot_read(&samples, &error))?
+    } else {
+        terminal.message(
+            "the file is not a recorded log: only the columns that drivebench reads are written",
+        );
+        write_run(&loaded.run).into_bytes()
+    };
+    terminal.file(path, &samples_as_parquet(&table).map_err(Failure::internal)?)?;
     let rows = loaded.run.rows();
     terminal.text(&format!("{}: {rows} rows", path.display()))
 }
@@ -258,29 +268,6 @@ fn as_json(
         }
     }
     serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
-}
-
-/// The table of a run as Parquet: all columns of a run folder, else the columns that were read.
-fn run_as_parquet(
-    loaded: &LoadedRun,
-    folder: Option<&Path>,
-    terminal: &Terminal,
-) -> Result<Vec<u8>, Failure> {
-    let table = match folder.filter(|_| loaded.run.rows_dropped == 0) {
-        None => {
-            terminal.message(
-                "the file is not a recorded log: only the columns that drivebench reads are written",
-            );
-            write_run(&loaded.run).into_bytes()
-        }
-        Some(folder) => {
-            let samples = RunFolder::existing(folder).samples();
-            let cannot = |error| format!("{}: cannot read: {error}", samples.display());
-            std::fs::read(&samples)
-                .map_err(|error| Failure::usage(cannot(error), "check the path"))?
-        }
-    };
-    samples_as_parquet(&table).map_err(Failure::internal)
 }
 
 impl From<ExportError> for Failure {

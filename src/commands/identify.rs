@@ -531,12 +531,7 @@ fn trace_load(
     json: bool,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
-    if path.exists() {
-        let path = path.display();
-        let headline = format!("{path}: exists already, and records are never overwritten");
-        let help = "choose another name for --load-torque";
-        return Err(Failure::usage(headline, help));
-    }
+    output::refuse_existing(path, "--load-torque")?;
     let trace = load_torque_trace(run, model)?;
     terminal.file(path, &trace_csv(&trace))?;
     let extreme = |is_better: fn(f64, f64) -> bool| {

@@ -34,10 +34,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         None => (EMBEDDED_NAME.to_owned(), EMBEDDED_DEFAULT.to_owned()),
     };
     let found = forecast(&file, &source)?;
-    terminal.result(&found, arguments.json, |found| match found {
-        Forecast::Known(known) => known_text(known),
-        Forecast::Unknown(unknown) => unknown_text(unknown),
-    })?;
+    terminal.result(&found, arguments.json, Forecast::text)?;
     let refusal = match &found {
         Forecast::Known(known) => known.plan.refusals.first(),
         Forecast::Unknown(_) => None,
@@ -50,16 +47,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
 
 fn unknown_text(unknown: &Unknown) -> String {
     if let Some(search) = &unknown.search {
-        let mut text = format!(
+        return format!(
             "the motor is not known: before the sequence it is found by currents that rise, {:?} A, and reverse at {:?} rad/s, for {:.0} s; \
              the sequence is then fitted to it\n",
             search.levels_a,
             search.turn_rad_s,
             search.duration_s()
         );
-        lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
-        lines(&mut text, "warning: ", &unknown.warnings);
-        return text;
     }
     let mut text = "the motor is not known: before the sequence it is found from small steps, each as large as the one before allows\n".to_owned();
     if let Some(steps) = &unknown.escalation {
@@ -85,18 +79,6 @@ fn unknown_text(unknown: &Unknown) -> String {
             steps.link_silence_s
         );
     }
-    lines(&mut text, "\n", unknown.line.as_ref().map(line_text));
-    lines(&mut text, "warning: ", &unknown.warnings);
-    text
-}
-
-fn known_text(forecast: &Known) -> String {
-    let mut text = match &forecast.reference {
-        Some(reference) => reference_text(reference),
-        None => sequence_text(&forecast.plan),
-    };
-    lines(&mut text, "\n", forecast.line.as_ref().map(line_text));
-    lines(&mut text, "warning: ", &forecast.plan.warnings);
     text
 }
 
@@ -178,6 +160,22 @@ enum Forecast {
     Known(Box<Known>),
     /// What is settled for a motor that is not known.
     Unknown(Box<Unknown>),
+}
+
+impl Forecast {
+    fn text(&self) -> String {
+        let (mut text, line, warnings) = match self {
+            Self::Known(known) => {
+                let reference = known.reference.as_ref().map(reference_text);
+                let text = reference.unwrap_or_else(|| sequence_text(&known.plan));
+                (text, &known.line, &known.plan.warnings)
+            }
+            Self::Unknown(unknown) => (unknown_text(unknown), &unknown.line, &unknown.warnings),
+        };
+        lines(&mut text, "\n", line.as_ref().map(line_text));
+        lines(&mut text, "warning: ", warnings);
+        text
+    }
 }
 
 #[derive(Serialize)]

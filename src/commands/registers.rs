@@ -182,14 +182,7 @@ fn read(arguments: &ReadArguments, terminal: &Terminal) -> Result<(), Failure> {
     let counters = client.counters();
     drop(client);
     drop(tap);
-    let mut result = ReadResult::of(&batch, counters);
-    for (outcome, span) in result.reads.iter_mut().zip(&arguments.spans) {
-        outcome.notation.clone_from(&span.address.notation);
-        let registers = outcome.values.as_deref().unwrap_or_default();
-        outcome.format = format;
-        outcome.decoded = format.map(|format| format.decode(registers));
-        outcome.guesses = arguments.guess.then(|| guesses(outcome.address, registers));
-    }
+    let result = ReadResult::of(&batch, counters, arguments, format);
     terminal.result(&result, arguments.json, ReadResult::text)?;
     if batch.is_interrupted {
         let headline = format!("interrupted after {} of the reads", batch.asked);
@@ -303,7 +296,7 @@ struct ReadResult {
     counters: RawCounters,
 }
 
-#[derive(Default, Serialize)]
+#[derive(Serialize)]
 struct ReadOutcome {
     address: u16,
     /// `input`; absent for holding registers.
@@ -357,14 +350,26 @@ impl ReadOutcome {
 }
 
 impl ReadResult {
-    fn of(batch: &Batch, counters: RawCounters) -> Self {
+    fn of(
+        batch: &Batch,
+        counters: RawCounters,
+        arguments: &ReadArguments,
+        format: Option<Format>,
+    ) -> Self {
         let us = |time_s: Option<f64>| time_s.map(|time_s| time_s * 1e6);
-        let reads = batch.reads.iter().map(|read| ReadOutcome {
-            address: read.request.address,
-            table: (read.request.table == CellTable::Input).then_some("input"),
-            values: read.values.as_ref().ok().cloned(),
-            error: read.values.as_ref().err().map(ToString::to_string),
-            ..ReadOutcome::default()
+        let reads = batch.reads.iter().zip(&arguments.spans).map(|(read, span)| {
+            let address = read.request.address;
+            let registers = read.values.as_deref().unwrap_or_default();
+            ReadOutcome {
+                address,
+                table: (read.request.table == CellTable::Input).then_some("input"),
+                notation: span.address.notation.clone(),
+                values: read.values.as_ref().ok().cloned(),
+                format,
+                decoded: format.map(|format| format.decode(registers)),
+                guesses: arguments.guess.then(|| guesses(address, registers)),
+                error: read.values.as_ref().err().map(ToString::to_string),
+            }
         });
         Self {
             reads: reads.collect(),

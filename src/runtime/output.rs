@@ -324,6 +324,10 @@ pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> 
     Ok(())
 }
 
+pub(crate) fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
+    Failure::usage(format!("{}: cannot read: {error}", path.display()), "check the path")
+}
+
 pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
     let headline = format!("{}: cannot write: {error}", path.display());
     let help = "name a file that does not exist yet, in a folder that does";

@@ -250,18 +250,12 @@ impl Sink<'_> {
     }
 }
 
-/// A row that waits for those before it.
-enum Ready {
-    New(Vec<Cell>, Status),
-    /// In the table already.
-    Kept(Status),
-}
-
 /// Which runs are begun, which are written, and what waits between.
 struct Order<'a> {
     begun: usize,
     written: usize,
-    waiting: BTreeMap<usize, Ready>,
+    /// Rows that wait for those before them; without cells where the table has them already.
+    waiting: BTreeMap<usize, (Option<Vec<Cell>>, Status)>,
     failure: Option<Failure>,
     sink: Sink<'a>,
     sum: Analysed,
@@ -270,17 +264,14 @@ struct Order<'a> {
 impl Order<'_> {
     /// Writes the rows that are next in order, as far as they are ready.
     fn write(&mut self) {
-        while let Some(ready) = self.waiting.remove(&self.written) {
-            let (status, put) = match ready {
-                Ready::New(cells, status) => (status, self.sink.put(&cells, status)),
-                Ready::Kept(status) => {
-                    self.sum.kept += 1;
-                    (status, Ok(()))
+        while let Some((cells, status)) = self.waiting.remove(&self.written) {
+            match cells.map(|cells| self.sink.put(&cells, status)) {
+                Some(Ok(())) => {}
+                Some(Err(failure)) => {
+                    self.failure.get_or_insert(failure);
+                    return;
                 }
-            };
-            if let Err(failure) = put {
-                self.failure = self.failure.take().or(Some(failure));
-                return;
+                None => self.sum.kept += 1,
             }
             self.sum.count(status);
             self.written += 1;
@@ -324,13 +315,12 @@ impl<'a> Analysis<'a> {
                 let table = &self.order().sink.table;
                 table.as_ref().and_then(|table| table.kept(&row::name(run), &content))
             };
-            let ready = kept.map_or_else(
-                || {
-                    let (cells, status) = row::row(run, &content, self);
-                    Ready::New(cells, status)
-                },
-                Ready::Kept,
-            );
+            let ready = if let Some(status) = kept {
+                (None, status)
+            } else {
+                let (cells, status) = row::row(run, &content, self);
+                (Some(cells), status)
+            };
             let mut order = self.order();
             order.waiting.insert(index, ready);
             order.write();

@@ -91,7 +91,7 @@ impl Table {
         let mut known = EarlierRows { analysis, rows: HashMap::new(), others: Vec::new() };
         let mut sources = vec![journal.try_clone().map_err(cannot)?];
         if resume && path.exists() {
-            let mut table = File::open(path).map_err(|error| cannot_read(path, &error))?;
+            let mut table = File::open(path).map_err(|error| output::cannot_read(path, &error))?;
             known.read(&mut table, 1, &header).map_err(cannot)?;
             sources.push(table);
         }
@@ -240,7 +240,7 @@ fn refuse_other(path: &Path, header: &str, may_be_cut: bool) -> Result<(), Failu
         let mut start = BufReader::new(file).take(header.len() as u64);
         start.read_until(b'\n', &mut first)
     });
-    read.map_err(|error| cannot_read(path, &error))?;
+    read.map_err(|error| output::cannot_read(path, &error))?;
     let is_ours = first == header.as_bytes();
     if is_ours || may_be_cut && header.as_bytes().starts_with(&first) {
         return Ok(());
@@ -248,10 +248,6 @@ fn refuse_other(path: &Path, header: &str, may_be_cut: bool) -> Result<(), Failu
     let headline = format!("{}: not a table of this analysis: its columns differ", path.display());
     let help = "another --model or another version has other columns; give another name to --out";
     Err(Failure::usage(headline, help))
-}
-
-fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
-    Failure::usage(format!("{}: cannot read: {error}", path.display()), "check the path")
 }
 
 struct EarlierRows<'a> {
