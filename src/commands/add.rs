@@ -131,9 +131,7 @@ fn run(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     let id = arguments.effect.as_str();
-    if let Some(path) = &arguments.output {
-        output::refuse_existing(path, "--output")?;
-    }
+    output::refuse_existing(&arguments.output, "--output")?;
     let _endable = terminal.endable()?;
     let shown = terminal.progress(if adding.is_some() { "add" } else { "remove" });
     let model = arguments.model.as_deref();

@@ -53,9 +53,8 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
-    for (path, option) in [(&arguments.csv, "--csv"), (&arguments.svg, "--svg")] {
-        path.as_deref().map_or(Ok(()), |path| output::refuse_existing(path, option))?;
-    }
+    output::refuse_existing(&arguments.csv, "--csv")?;
+    output::refuse_existing(&arguments.svg, "--svg")?;
     if arguments.screen {
         let help = "leave --screen out: the result is printed as text";
         needs_terminal("--screen", help)?;

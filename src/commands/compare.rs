@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
 use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
-use crate::report::wording::{json, location, versus as words};
+use crate::report::wording::{effects, json, location, versus as words};
 use crate::report::{Document, SignalFigures, Table, Tone};
 use crate::runtime::{Failure, Form, ProgressLine, REFUSED, Terminal, USAGE, output, read_model};
 use drivebench_diagnose::{
@@ -46,9 +46,7 @@ pub(super) struct Arguments {
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     arguments.more.refuse()?;
-    if let Some(path) = &arguments.html {
-        output::refuse_existing(path, "--html")?;
-    }
+    output::refuse_existing(&arguments.html, "--html")?;
     if arguments.screen {
         view::needs_terminal("--screen", "leave --screen out: the result is printed as text")?;
     }
@@ -84,10 +82,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let _endable = endable;
     let is_whole = arguments.html.is_some() || (arguments.form.full && !arguments.form.json);
     let mut document = pages::comparison(&prepared, &comparison, is_whole)?;
-    if let Some(path) = &arguments.html {
-        pages::write(path, &document.html(), terminal)?;
-        document.ends_with(path.display().to_string());
-    }
+    pages::write(&mut document, arguments.html.as_deref(), terminal)?;
     document.go_on(format!(
         "drivebench diagnose {}{}{}",
         output::quoted(&arguments.run),
@@ -195,10 +190,7 @@ impl VersusResult {
     pub(crate) fn document(&self) -> Document {
         let mut document = Document::of(Tone::Plain, "", words::versus(&self.found));
         for (name, model) in ["A", "B"].into_iter().zip(&self.models) {
-            let effects = match model.effects.as_slice() {
-                [] => "no effect beyond the baseline".to_owned(),
-                effects => effects.join(", "),
-            };
+            let effects = effects(&model.effects);
             document.say(name, [format!("{}: {effects}", model.file)], 1);
         }
         let signals = &self.found.signals;

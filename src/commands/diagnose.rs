@@ -76,17 +76,13 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let help = "leave --screen out: the answer is printed as text";
         view::needs_terminal("--screen", help)?;
     }
-    for (path, option) in [(&on_screen.output, "--output"), (&arguments.html, "--html")] {
-        let path = path.as_deref();
-        path.map_or(Ok(()), |path| output::refuse_existing(path, option))?;
-    }
+    output::refuse_existing(&on_screen.output, "--output")?;
+    output::refuse_existing(&arguments.html, "--html")?;
     let mut attended = Some((terminal.endable()?, terminal.progress("diagnose")));
     let (model, judging) = (arguments.model.as_deref(), Judging::Refits);
     let (evidence, run) = (&arguments.evidence, &arguments.run);
     let prepared = evidence.prepare(run, model, judging, on_screen.screen, terminal)?;
-    if let Some(path) = &arguments.next_bench {
-        output::refuse_existing(path, "--next-bench")?;
-    }
+    output::refuse_existing(&arguments.next_bench, "--next-bench")?;
     let target = RecommendationBench::of(arguments.bench.as_deref(), &prepared, terminal)?;
     let (mut by_hand, mut written, mut known_next) = (String::new(), None, None);
     let mut diagnosis = if on_screen.screen {
@@ -123,10 +119,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     }
     let is_whole = arguments.html.is_some() || form.full;
     let mut document = pages::diagnosis(&prepared, &diagnosis, is_whole)?;
-    if let Some(path) = &arguments.html {
-        pages::write(path, &document.html(), terminal)?;
-        document.ends_with(path.display().to_string());
-    }
+    pages::write(&mut document, arguments.html.as_deref(), terminal)?;
     document.say("by hand", by_hand.lines(), 1);
     if by_hand.is_empty() {
         let model = written.as_deref().map(Path::new);

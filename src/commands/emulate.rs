@@ -92,7 +92,7 @@ pub(super) fn execute(arguments: Arguments, terminal: &Terminal) -> Result<(), F
         terminal.message(&warning);
     }
     let journal = arguments.journal.as_deref().map(|path| {
-        output::refuse_existing(path, "--journal")?;
+        output::refuse_existing([path], "--journal")?;
         Journal::create(path).map_err(|error| output::cannot_write(path, &error))
     });
     let served_drive = Served {

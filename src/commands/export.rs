@@ -7,7 +7,8 @@ use serde_json::{Value, json};
 
 use crate::commands::arguments::{MapArguments, by_name, run_path};
 use crate::commands::tune::KeptGains;
-use crate::report::export::{Export, ExportError, Regulator, Target, formulas, map_as_c};
+use crate::report::export::{Export, Regulator, Target, formulas, map_as_c};
+use crate::report::wording::effects;
 use crate::runtime::{Failure, Terminal, output, read_model, require_parquet, samples_as_parquet};
 use drivebench_bench::recording::{LoadedRun, RunFolder, write_run};
 use drivebench_control::{Actuator, Holding, viscous_n_m_s_per_rad};
@@ -70,9 +71,7 @@ enum Format {
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
-    if let Some(path) = &arguments.output {
-        output::refuse_existing(path, "--output")?;
-    }
+    output::refuse_existing(&arguments.output, "--output")?;
     let stem = arguments.output.as_ref().and_then(|path| path.file_stem());
     let name = stem.map(|stem| stem.to_string_lossy());
     let name = name.as_deref();
@@ -228,10 +227,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
 
 /// Motor, effects, file, runs and program in one line.
 fn title(file: &ModelFile, path: &Path) -> String {
-    let effects = match file.model.effect_ids().as_slice() {
-        [] => "no effect beyond the baseline".to_owned(),
-        ids => ids.join(", "),
-    };
+    let effects = effects(&file.model.effect_ids());
     let fitted = match file.history.fitted_on.as_slice() {
         [] => String::new(),
         runs => format!(", fitted on {}", runs.join(", ")),
@@ -247,9 +243,9 @@ fn as_json(
     regulator: Option<&Regulator>,
     title: &str,
 ) -> Result<String, Failure> {
-    let internal = |error: &dyn std::fmt::Display| Failure::internal(error.to_string());
-    let table: toml::Table = file.to_toml().parse().map_err(|error| internal(&error))?;
-    let mut value = serde_json::to_value(&table).map_err(|error| internal(&error))?;
+    let internal = |error: toml::de::Error| Failure::internal(error.to_string());
+    let table: toml::Table = file.to_toml().parse().map_err(internal)?;
+    let mut value = serde_json::to_value(&table)?;
     value["title"] = title.into();
     let laws = file.model.effects.iter().map(|active| {
         let written = formulas(active).map(|all| {
@@ -267,11 +263,5 @@ fn as_json(
             value["regulator"]["notch"] = json!(notch);
         }
     }
-    serde_json::to_string_pretty(&value).map_err(|error| internal(&error))
-}
-
-impl From<ExportError> for Failure {
-    fn from(error: ExportError) -> Self {
-        Self::usage(error.to_string(), error.help())
-    }
+    Ok(serde_json::to_string_pretty(&value)?)
 }

@@ -306,7 +306,7 @@ impl Answer {
 
     /// Writes the model: `file` with the usable values. Other parameters stay as given, or are left out.
     fn write(&self, path: &Path, mut file: ModelFile, terminal: &Terminal) -> Result<(), Failure> {
-        output::refuse_existing(path, "--output")?;
+        output::refuse_existing([path], "--output")?;
         let mut parameters = self.parameters();
         parameters.retain(is_usable);
         file.model = Identified::new("", &file.model, parameters.clone()).model;
@@ -531,7 +531,7 @@ fn trace_load(
     json: bool,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
-    output::refuse_existing(path, "--load-torque")?;
+    output::refuse_existing([path], "--load-torque")?;
     let trace = load_torque_trace(run, model)?;
     terminal.file(path, &trace_csv(&trace))?;
     let extreme = |is_better: fn(f64, f64) -> bool| {

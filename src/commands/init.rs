@@ -103,9 +103,7 @@ fn bench(
     terminal: &Terminal,
 ) -> Result<(), Failure> {
     let out = arguments.out.as_deref().filter(|path| *path != Path::new("-"));
-    if let Some(path) = out {
-        output::refuse_existing(path, "--out")?;
-    }
+    output::refuse_existing(out, "--out")?;
     if Port::parse(port).is_none() {
         return Err(Failure::usage(
             format!("--port {port:?} is not a port"),

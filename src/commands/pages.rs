@@ -204,10 +204,17 @@ pub(crate) fn comparison(
     Ok(report.document())
 }
 
-/// Writes a page where none is yet.
-pub(crate) fn write(path: &Path, html: &str, terminal: &Terminal) -> Result<(), Failure> {
-    terminal.file(path, html)?;
-    terminal.message(&format!("page written to {}", path.display()));
+/// Writes the page of a document where one was requested, and names it at the end of the document.
+pub(crate) fn write(
+    document: &mut Document,
+    path: Option<&Path>,
+    terminal: &Terminal,
+) -> Result<(), Failure> {
+    if let Some(path) = path {
+        terminal.file(path, &document.html())?;
+        terminal.message(&format!("page written to {}", path.display()));
+        document.ends_with(path.display().to_string());
+    }
     Ok(())
 }
 

@@ -116,9 +116,7 @@ fn replayed(
     let (mut difference, mut compared_with, mut reason) = (None, None, None);
     match live {
         Ok((path, live)) => {
-            let replayed = serde_json::to_value(&online).map_err(|error| {
-                Failure::internal(format!("the result has no JSON form: {error}"))
-            })?;
+            let replayed = serde_json::to_value(&online)?;
             difference = Some(first_difference(&live, &replayed));
             compared_with = Some(path.display().to_string());
         }

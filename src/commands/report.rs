@@ -40,9 +40,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
-    if let Some(path) = &arguments.output {
-        output::refuse_existing(path, "--output")?;
-    }
+    output::refuse_existing(&arguments.output, "--output")?;
     let _endable = terminal.endable()?;
     let done = report(arguments, terminal)?;
     if arguments.markdown {
@@ -157,9 +155,7 @@ fn write_pictures(html: &str, folder: &Path, terminal: &Terminal) -> Result<Vec<
     let paths = (1..).map(|number| folder.join(format!("figure-{number}.svg")));
     let pictures: Vec<_> = paths.zip(plot::pictures(html)).collect();
     // All of them or none.
-    for (path, _) in &pictures {
-        output::refuse_existing(path, "--svg (a folder)")?;
-    }
+    output::refuse_existing(pictures.iter().map(|(path, _)| path), "--svg (a folder)")?;
     for (path, svg) in &pictures {
         terminal.file(path, svg)?;
     }

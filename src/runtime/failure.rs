@@ -1,5 +1,6 @@
 //! Why a command ended without success: one headline, one help line, one exit status.
 
+use crate::report::export::ExportError;
 use drivebench_bench::recording::RecordingError;
 use drivebench_bench::{BenchFileError, CheckError, InitError, RegulatorError};
 use drivebench_control::PlantError;
@@ -102,6 +103,12 @@ impl Failure {
     }
 }
 
+impl From<serde_json::Error> for Failure {
+    fn from(error: serde_json::Error) -> Self {
+        Self::internal(format!("the result has no JSON form: {error}"))
+    }
+}
+
 /// Errors of the lower floors as failures: their own text and help, and this status.
 macro_rules! failures {
     ($($error:ty: $status:expr;)*) => {$(
@@ -117,6 +124,7 @@ macro_rules! failures {
 failures! {
     BenchFileError: |_| USAGE;
     EmulatorConfigError: |_| USAGE;
+    ExportError: |_| USAGE;
     ModelError: |_| USAGE;
     PlantError: |_| USAGE;
     ProfileError: |_| USAGE;

@@ -268,7 +268,7 @@ impl Tap {
     /// Nothing is running yet, so that a file that cannot be made is refused.
     pub(crate) fn create(path: Option<&Path>, terminal: &Terminal) -> Result<Self, Failure> {
         let file = path.map(|path| {
-            output::refuse_existing(path, "--tap")?;
+            output::refuse_existing([path], "--tap")?;
             TapFile::create(path, now().into()).map_err(|e| output::cannot_write(path, &e))
         });
         Ok(Self { file: file.transpose()?, terminal: terminal.clone() })

@@ -211,9 +211,7 @@ impl Terminal {
         text: impl FnOnce(&T) -> String,
     ) -> Result<(), Failure> {
         if json {
-            self.line(&serde_json::to_string_pretty(value).map_err(|error| {
-                Failure::internal(format!("the result has no JSON form: {error}"))
-            })?)
+            self.line(&serde_json::to_string_pretty(value)?)
         } else {
             self.line(text(value).trim_end())
         }
@@ -315,8 +313,13 @@ pub(crate) fn ask(question: &str) -> Option<String> {
 }
 
 /// Results are never overwritten: checked before the work, with the option that named the file.
-pub(crate) fn refuse_existing(path: &Path, option: &str) -> Result<(), Failure> {
-    if path.exists() {
+pub(crate) fn refuse_existing<P: AsRef<Path>>(
+    paths: impl IntoIterator<Item = P>,
+    option: &str,
+) -> Result<(), Failure> {
+    let mut paths = paths.into_iter();
+    if let Some(path) = paths.find(|path| path.as_ref().exists()) {
+        let path = path.as_ref();
         let headline = format!("{}: exists already, and nothing is overwritten", path.display());
         let help = format!("give another name to {option}, or move this one away");
         return Err(Failure::usage(headline, help));

@@ -57,7 +57,7 @@ impl Table {
         let is_parquet = is_parquet(path)?;
         let part = with_suffix(path, "part");
         if !resume {
-            output::refuse_existing(path, "--out")?;
+            output::refuse_existing([path], "--out")?;
             if part.exists() {
                 let headline = format!("{}: rows of an unfinished analysis", part.display());
                 return Err(Failure::usage(

@@ -65,9 +65,7 @@ pub(crate) fn write(
     if is_emulated {
         files.push((emulator, config("emulator").cloned().unwrap_or_default()));
     }
-    for (path, _) in &files {
-        output::refuse_existing(path, "--out")?;
-    }
+    output::refuse_existing(files.iter().map(|(path, _)| path), "--out")?;
     for (path, text) in &files {
         terminal.file(path, text)?;
     }

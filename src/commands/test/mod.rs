@@ -226,11 +226,8 @@ fn carry_out(
     terminal: &Terminal,
 ) -> Result<SuiteOutcome, Failure> {
     let jobs = jobs(suite, arguments)?;
-    for (path, option) in [(&arguments.junit, "--junit"), (&arguments.metrics, "--metrics")] {
-        if let Some(path) = path {
-            output::refuse_existing(path, option)?;
-        }
-    }
+    output::refuse_existing(&arguments.junit, "--junit")?;
+    output::refuse_existing(&arguments.metrics, "--metrics")?;
     let is_real = |job: &Job<'_>| !Port::parse(&job.port).is_some_and(|port| port.is_emulated());
     let real: Vec<&Job<'_>> = jobs.iter().filter(|job| is_real(job)).collect();
     let mut risks: Vec<String> = real.iter().filter_map(|job| risk(job.case)).collect();
@@ -370,8 +367,7 @@ fn write_results(
     folder: &Path,
     terminal: &Terminal,
 ) -> Result<(), Failure> {
-    let json = serde_json::to_string_pretty(outcome)
-        .map_err(|error| Failure::internal(format!("the result has no JSON form: {error}")))?;
+    let json = serde_json::to_string_pretty(outcome)?;
     let mut files = vec![(folder.join("result.json"), json)];
     if !outcome.confusion.is_empty() {
         files.push((folder.join("confusion.csv"), outcome.confusion.csv()));

@@ -43,6 +43,14 @@ pub const fn unit(source: FloorSource) -> &'static str {
     }
 }
 
+/// The effects of a model, for a sentence.
+pub fn effects<T: AsRef<str>>(ids: &[T]) -> String {
+    match ids {
+        [] => "no effect beyond the baseline".to_owned(),
+        ids => ids.iter().map(AsRef::as_ref).collect::<Vec<_>>().join(", "),
+    }
+}
+
 /// Names of a list that are given.
 const MOST_NAMES: usize = 4;
 
