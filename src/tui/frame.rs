@@ -130,6 +130,12 @@ fn keys_that_fit(keys: &[&str], always: &str, width: usize) -> String {
     shown + always
 }
 
+/// The middle of an area that is at least as large.
+pub(super) const fn centred(width: u16, height: u16, area: Rect) -> Rect {
+    let (x, y) = (area.x + (area.width - width) / 2, area.y + (area.height - height) / 2);
+    Rect { x, y, width, height }
+}
+
 /// The help over a screen.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Help {
@@ -165,12 +171,7 @@ fn help(on: On, meanings: &[&str], first: usize, area: Rect, buffer: &mut Buffer
     let width = area.width.min(78);
     let lines = help_lines(on, meanings, usize::from(width.saturating_sub(4)));
     let height = area.height.min(u16::try_from(lines.len() + 2).unwrap_or(u16::MAX));
-    let area = Rect {
-        x: area.x + (area.width - width) / 2,
-        y: area.y + (area.height - height) / 2,
-        width,
-        height,
-    };
+    let area = centred(width, height, area);
     let room = usize::from(height.saturating_sub(2));
     let hidden = lines.len().saturating_sub(room);
     let first = first.min(hidden);

@@ -159,35 +159,22 @@ pub fn nameplate(found: &Nameplate) -> Value {
     value
 }
 
-/// For fields of other results.
-pub(crate) fn with_sentences<S: Serializer>(
-    found: &Diagnosis,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    diagnosis(found).serialize(serializer)
+/// The forms as serialisers of fields of other results, each also of a field that may be empty.
+macro_rules! of_fields {
+    ($($serializer:ident: $form:ident of $found:ty;)*) => {$(
+        pub(crate) fn $serializer<'a, S: Serializer>(
+            found: impl Into<Option<&'a $found>>,
+            serializer: S,
+        ) -> Result<S::Ok, S::Error> {
+            found.into().map($form).serialize(serializer)
+        }
+    )*};
 }
 
-pub(crate) fn compared<S: Serializer>(
-    found: &Comparison,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    comparison(found).serialize(serializer)
-}
-
-pub(crate) fn of_both<S: Serializer>(found: &Versus, serializer: S) -> Result<S::Ok, S::Error> {
-    versus(found).serialize(serializer)
-}
-
-pub(crate) fn plate<'a, S: Serializer>(
-    found: impl Into<Option<&'a Nameplate>>,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    found.into().map(nameplate).serialize(serializer)
-}
-
-pub(crate) fn drifted<'a, S: Serializer>(
-    found: impl Into<Option<&'a Drift>>,
-    serializer: S,
-) -> Result<S::Ok, S::Error> {
-    found.into().map(drift).serialize(serializer)
+of_fields! {
+    with_sentences: diagnosis of Diagnosis;
+    compared: comparison of Comparison;
+    of_both: versus of Versus;
+    plate: nameplate of Nameplate;
+    drifted: drift of Drift;
 }

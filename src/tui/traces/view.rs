@@ -8,7 +8,7 @@ use ratatui::widgets::{Block, Clear, Paragraph, Widget};
 
 use super::{Panel, Shows, TracesPage, first_panels};
 use crate::report::plot::axis::Domain;
-use crate::tui::frame::{row, titled_with};
+use crate::tui::frame::{centred, row, titled_with};
 use crate::tui::plot::{
     Bounds, LABELS, Stroke, Trace, across, framed, longest_step_s, plot, range, vertical,
 };
@@ -343,12 +343,7 @@ fn chooser(page: &TracesPage, run: &RunTraces, at: usize, area: Rect, buffer: &m
     };
     let height = area.height.min(u16::try_from(all.len() + 2).unwrap_or(u16::MAX));
     let width = area.width.min(44);
-    let place = Rect {
-        x: area.x + (area.width - width) / 2,
-        y: area.y + (area.height - height) / 2,
-        width,
-        height,
-    };
+    let place = centred(width, height, area);
     let room = usize::from(height.saturating_sub(2)).max(1);
     let rows = all.iter().enumerate().skip((at + 1).saturating_sub(room)).take(room);
     let rows = rows.map(|(index, panel)| {
