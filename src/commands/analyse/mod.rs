@@ -18,7 +18,7 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-use row::{Cell, Columns, Status};
+use row::{Columns, Status, cell};
 use serde::Serialize;
 use serde_json::{Map, Value};
 use table::{Table, header_of, line_of};
@@ -236,16 +236,16 @@ struct Sink<'a> {
 }
 
 impl Sink<'_> {
-    fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
+    fn put(&mut self, row: &[Value], status: Status) -> Result<(), Failure> {
         if let Some(table) = &mut self.table {
-            return table.put(cells, status);
+            return table.put(row, status);
         }
         if !self.is_json {
-            let texts: Vec<String> = cells.iter().map(Cell::text).collect();
+            let texts: Vec<String> = row.iter().map(cell).collect();
             return self.terminal.line(line_of(&texts).trim_end());
         }
         let names = self.columns.iter().map(|(name, _)| name.clone());
-        let row: Map<_, _> = names.zip(cells.iter().map(Cell::json)).collect();
+        let row: Map<_, _> = names.zip(row.iter().cloned()).collect();
         self.terminal.line(&Value::Object(row).to_string())
     }
 }
@@ -255,7 +255,7 @@ struct Order<'a> {
     begun: usize,
     written: usize,
     /// Rows that wait for those before them; without cells where the table has them already.
-    waiting: BTreeMap<usize, (Option<Vec<Cell>>, Status)>,
+    waiting: BTreeMap<usize, (Option<Vec<Value>>, Status)>,
     failure: Option<Failure>,
     sink: Sink<'a>,
     sum: Analysed,

@@ -22,43 +22,20 @@ use drivebench_model::numerics::checksum::{EMPTY, fnv_1a};
 use drivebench_model::plant::{Input, Model, MotorKey, Slot};
 use drivebench_model::sample::ParameterEstimate;
 
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Cell {
-    Empty,
-    Text(String),
-    Quantity(f64),
-    Count(u64),
+/// A text in one line, as a row is; null where it is empty.
+fn one_line(text: impl Into<String>) -> Value {
+    let text: String = text.into();
+    let text = text.replace(['\n', '\r'], " ");
+    if text.is_empty() { Value::Null } else { text.into() }
 }
 
-impl Cell {
-    fn text_of(text: impl Into<String>) -> Self {
-        let text: String = text.into();
-        // A row is a line.
-        let text = text.replace(['\n', '\r'], " ");
-        if text.is_empty() { Self::Empty } else { Self::Text(text) }
-    }
-
-    fn quantity(value: Option<f64>) -> Self {
-        value.filter(|value| value.is_finite()).map_or(Self::Empty, Self::Quantity)
-    }
-
-    /// As a cell of a CSV.
-    pub(super) fn text(&self) -> String {
-        match self {
-            Self::Empty => String::new(),
-            Self::Text(text) => text.clone(),
-            Self::Quantity(value) => number_text(*value),
-            Self::Count(count) => count.to_string(),
-        }
-    }
-
-    pub(super) fn json(&self) -> Value {
-        match self {
-            Self::Empty => Value::Null,
-            Self::Text(text) => text.as_str().into(),
-            Self::Quantity(value) => (*value).into(),
-            Self::Count(count) => (*count).into(),
-        }
+/// A value of a row as a cell of a CSV.
+pub(super) fn cell(value: &Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text.clone(),
+        number if number.is_f64() => number.as_f64().map(number_text).unwrap_or_default(),
+        other => other.to_string(),
     }
 }
 
@@ -118,16 +95,15 @@ impl Columns {
         (status, reason): (Status, &str),
         found: &Found,
         messages: Vec<String>,
-    ) -> Vec<(String, ColumnKind, Cell)> {
+    ) -> Vec<(String, ColumnKind, Value)> {
         let (about, one) = (found.about.as_ref(), found.one.as_ref());
         let answer = found.answer.as_ref();
-        let text =
-            |name: &str, text: &str| (name.to_owned(), ColumnKind::Word, Cell::text_of(text));
+        let text = |name: &str, text: &str| (name.to_owned(), ColumnKind::Word, one_line(text));
         let quantity = |name: &str, value: Option<f64>| {
-            (name.to_owned(), ColumnKind::Quantity, Cell::quantity(value))
+            (name.to_owned(), ColumnKind::Quantity, Value::from(value))
         };
         let count = |name: &str, value: Option<u64>| {
-            (name.to_owned(), ColumnKind::Count, value.map_or(Cell::Empty, Cell::Count))
+            (name.to_owned(), ColumnKind::Count, Value::from(value))
         };
         let fact = |of: fn(&About) -> &str| about.map_or("", of);
         let rows = |of: fn(&About) -> usize| about.map(|about| of(about) as u64);
@@ -139,7 +115,7 @@ impl Columns {
             text("status", status.name()),
             text("reason", reason),
             text("name", fact(|about| &about.manifest.name)),
-            ("begin".to_owned(), ColumnKind::Instant, Cell::text_of(began)),
+            ("begin".to_owned(), ColumnKind::Instant, one_line(began)),
             text("drive", fact(|about| &about.machine.drive)),
             text("drive_serial", fact(|about| &about.machine.drive_serial)),
             text("motor", fact(|about| &about.machine.motor)),
@@ -231,7 +207,7 @@ pub(super) fn content(run: &Path) -> String {
 
 /// The run as the column `run` names it.
 pub(super) fn name(run: &Path) -> String {
-    Cell::text_of(run.display().to_string()).text()
+    cell(&one_line(run.display().to_string()))
 }
 
 /// The results of a run, as far as its analysis came.
@@ -264,7 +240,7 @@ struct Identified {
 }
 
 /// Analyses one run; every failure of it stands in its row.
-pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Cell>, Status) {
+pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Value>, Status) {
     let mut found = Found::default();
     let terminal = Terminal::collecting();
     let ended = catch_unwind(AssertUnwindSafe(|| analyse(run, request, &mut found, &terminal)))
@@ -274,7 +250,7 @@ pub(super) fn row(run: &Path, content: &str, request: &Analysis<'_>) -> (Vec<Cel
     let (status, reason) = judged(ended, &found);
     let known = (&*name(run), &*request.checksum, content);
     let columns = request.columns.of_run(known, (status, &reason), &found, terminal.collected());
-    (columns.into_iter().map(|(_, _, cell)| cell).collect(), status)
+    (columns.into_iter().map(|(_, _, value)| value).collect(), status)
 }
 
 /// How far it came, and why no further. A run that was read keeps that status whatever fails behind it.
@@ -370,10 +346,10 @@ mod tests {
 
     #[test]
     fn a_cell_is_one_line_and_a_finite_number() {
-        assert_eq!(Cell::text_of("a\nb").text(), "a b");
-        assert_eq!(Cell::quantity(Some(f64::NAN)), Cell::Empty);
-        assert_eq!(Cell::quantity(Some(0.1)).text(), "0.1");
-        assert_eq!(Cell::Empty.json(), Value::Null);
+        assert_eq!(cell(&one_line("a\nb")), "a b");
+        assert_eq!((cell(&one_line("")), one_line("")), (String::new(), Value::Null));
+        assert_eq!(Value::from(Some(f64::NAN)), Value::Null);
+        assert_eq!((cell(&0.1.into()), cell(&7.into())), ("0.1".to_owned(), "7".to_owned()));
     }
 
     #[test]

@@ -12,8 +12,9 @@ use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::{BufRead, BufReader, BufWriter, Read, Seek as _, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::row;
-use super::row::{Cell, Status};
+use serde_json::Value;
+
+use super::row::{self, Status, cell};
 use crate::runtime::{Failure, Terminal, output, parquet, require_parquet};
 use drivebench_bench::recording::ColumnKind;
 
@@ -132,8 +133,8 @@ impl Table {
         (place.content == content).then_some(place.status)
     }
 
-    pub(super) fn put(&mut self, cells: &[Cell], status: Status) -> Result<(), Failure> {
-        let texts: Vec<String> = cells.iter().map(Cell::text).collect();
+    pub(super) fn put(&mut self, row: &[Value], status: Status) -> Result<(), Failure> {
+        let texts: Vec<String> = row.iter().map(cell).collect();
         let line = line_of(&texts);
         let place = RowLocation {
             source: 0,
