@@ -5,7 +5,7 @@
 
 use std::path::PathBuf;
 
-use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, run_path};
 use crate::commands::effects::unknown_effect;
 use crate::commands::evidence::Judging;
 use crate::report::Document;
@@ -202,11 +202,9 @@ fn run(
 /// The result, and the commands that follow; where no file was named, the new model above it.
 fn document(result: &AddResult, arguments: &Arguments) -> Document {
     let mut document = change_document(result);
-    let run = output::quoted(&arguments.run);
-    let evidence = arguments.evidence.words();
     let written = arguments.output.as_ref().filter(|_| result.accepted);
-    let model = model_words(written.or(arguments.model.as_ref()).map(PathBuf::as_path));
-    document.go_on(format!("drivebench diagnose {run}{model}{evidence}"));
+    let model = written.or(arguments.model.as_ref()).map(PathBuf::as_path);
+    document.go_on(arguments.evidence.diagnose(&arguments.run, model));
     if let Some(model) = written {
         let runs = FileHistory {
             fitted_on: vec![arguments.run.display().to_string()],

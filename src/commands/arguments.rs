@@ -253,6 +253,12 @@ impl EvidenceArguments {
         judging.map(run).collect::<String>() + &self.map.words() + &later
     }
 
+    /// The command that diagnoses this run with these options.
+    pub(super) fn diagnose(&self, run: &Path, model: Option<&Path>) -> String {
+        let (run, model) = (output::quoted(run), model_words(model));
+        format!("drivebench diagnose {run}{model}{}", self.words())
+    }
+
     /// Opens the runs; with every channel where a screen may show them.
     pub(super) fn prepare(
         &self,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::commands::arguments::{EvidenceArguments, MoreRuns, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, MoreRuns, run_path};
 use crate::commands::evidence::{Judging, Prepared, was_fitted_on};
 use crate::commands::{pages, view};
 use crate::report::wording::{effects, json, location, versus as words};
@@ -83,12 +83,8 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let is_whole = arguments.html.is_some() || (arguments.form.full && !arguments.form.json);
     let mut document = pages::comparison(&prepared, &comparison, is_whole)?;
     pages::write(&mut document, arguments.html.as_deref(), terminal)?;
-    document.go_on(format!(
-        "drivebench diagnose {}{}{}",
-        output::quoted(&arguments.run),
-        model_words(arguments.model.first().map(PathBuf::as_path)),
-        arguments.evidence.words()
-    ));
+    let given = arguments.model.first().map(PathBuf::as_path);
+    document.go_on(evidence.diagnose(run, given));
     let mut value = prepared.result(&json::comparison(&comparison));
     value["model"] = from.into();
     value["refitted"] = judged.refitted.into();

@@ -115,7 +115,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let form = arguments.form;
     let result = prepared.result(&json::diagnosis(&diagnosis));
     if form.json && arguments.html.is_none() {
-        return terminal.unfolded(&result, true, |_| String::new());
+        return terminal.json(&result);
     }
     let is_whole = arguments.html.is_some() || form.full;
     let mut document = pages::diagnosis(&prepared, &diagnosis, is_whole)?;
@@ -130,19 +130,15 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         let model = output::quoted_word(model);
         document.go_on(format!("drivebench tune --model {model}"));
     } else {
-        let (run, words) = (output::quoted(&arguments.run), arguments.evidence.words());
-        document.go_on(format!("drivebench diagnose {run}{words} --screen"));
+        document.go_on(format!("{} --screen", evidence.diagnose(run, None)));
     }
     terminal.document(&result, form, &document)
 }
 
 /// The same diagnosis with the run that was recommended, once it is made.
 fn after_new_run(arguments: &Arguments) -> String {
-    let run = output::quoted(&arguments.run);
-    let model = model_words(arguments.model.as_deref());
-    let words = arguments.evidence.words();
-    let bench = bench_words(arguments);
-    format!("drivebench diagnose {run}{model}{words}{bench} --with NEW_RUN")
+    let again = arguments.evidence.diagnose(&arguments.run, arguments.model.as_deref());
+    format!("{again}{} --with NEW_RUN", bench_words(arguments))
 }
 
 /// The bench whose limits the recommended run keeps, with a space before it.
@@ -159,8 +155,7 @@ fn go_on(
     diagnosis: &Diagnosis,
 ) {
     let run = output::quoted(&arguments.run);
-    let model = model_words(model);
-    let of = format!("{model} --run {run}{}", arguments.evidence.words());
+    let of = format!("{} --run {run}{}", model_words(model), arguments.evidence.words());
     let curve = diagnosis.axis_map.first();
     let curve = curve.filter(|map| map.is_followed() && Axis::from_key(map.axis).is_some());
     if let Some(effect) = diagnosis.effect {
@@ -176,10 +171,9 @@ fn go_on(
             document.go_on(format!("drivebench run {}", output::quoted(path)));
             document.go_on(after_new_run(arguments));
         } else if diagnosis.effect.is_none() {
-            let (words, bench) = (arguments.evidence.words(), bench_words(arguments));
-            document.go_on(format!(
-                "drivebench diagnose {run}{model}{words}{bench} --next-bench next.toml"
-            ));
+            let again = arguments.evidence.diagnose(&arguments.run, model);
+            let bench = bench_words(arguments);
+            document.go_on(format!("{again}{bench} --next-bench next.toml"));
         }
     }
     if diagnosis.verdict == DiagnosisVerdict::NotFitted {

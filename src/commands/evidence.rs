@@ -652,7 +652,7 @@ pub(crate) fn before_identify(
         "notes": notes(run, &findings),
     });
     if json {
-        terminal.result(&value, true, |_| String::new())?;
+        terminal.json(&value)?;
     }
     let others = findings.iter().filter(|finding| *finding != refusal);
     terminal.warn(&others.map(|other| words::fault(&other.fault)).collect::<Vec<_>>());

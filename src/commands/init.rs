@@ -149,7 +149,7 @@ fn bench(
             "remarks": made.remarks,
             "next": next,
         });
-        return terminal.result(&result, true, |_| String::new());
+        return terminal.json(&result);
     }
     if out.is_none() {
         terminal.line(made.text.trim_end())?;

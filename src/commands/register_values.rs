@@ -44,18 +44,12 @@ pub(super) enum ByteOrder {
     Dcba,
 }
 
+/// The name of a value as an option takes it.
+fn name_of(value: &impl ValueEnum) -> String {
+    value.to_possible_value().map(|value| value.get_name().to_owned()).unwrap_or_default()
+}
+
 impl ByteOrder {
-    const ALL: [Self; 4] = [Self::Abcd, Self::Cdab, Self::Badc, Self::Dcba];
-
-    const fn name(self) -> &'static str {
-        match self {
-            Self::Abcd => "ABCD",
-            Self::Cdab => "CDAB",
-            Self::Badc => "BADC",
-            Self::Dcba => "DCBA",
-        }
-    }
-
     const fn swaps_bytes(self) -> bool {
         matches!(self, Self::Badc | Self::Dcba)
     }
@@ -82,15 +76,14 @@ impl Format {
         match (kind, order) {
             (ValueType::Text, ByteOrder::Cdab | ByteOrder::Dcba) => Err(format!(
                 "--order {} is not one of a text (allowed: ABCD, or BADC for swapped bytes)",
-                order.name()
+                name_of(&order)
             )),
             _ => Ok(Self { kind, order }),
         }
     }
 
     pub(super) fn name(self) -> String {
-        let kind = self.kind.to_possible_value().map(|value| value.get_name().to_owned());
-        format!("{} {}", kind.unwrap_or_default(), self.order.name())
+        format!("{} {}", name_of(&self.kind), name_of(&self.order))
     }
 
     fn layout(self) -> Option<Layout> {
@@ -223,7 +216,7 @@ pub(super) fn guesses(address: u16, registers: &[u16]) -> Vec<Guess> {
         let one = |kind, order| Format { kind, order }.decode(words).into_iter().next();
         if words.len() == 2 && words != [0, 0] {
             let mut floats = Vec::new();
-            for order in ByteOrder::ALL {
+            for &order in ByteOrder::value_variants() {
                 let Some(Value::Number(number)) = one(ValueType::F32, order) else { continue };
                 // Sizes of physical quantities in usual units.
                 if (1e-3..1e6).contains(&number.abs()) {
@@ -240,7 +233,7 @@ pub(super) fn guesses(address: u16, registers: &[u16]) -> Vec<Guess> {
                 };
                 guess(at, ValueType::F32, order, Value::Number(number), why);
             }
-            for order in ByteOrder::ALL {
+            for &order in ByteOrder::value_variants() {
                 let (high, low) = match order {
                     ByteOrder::Abcd | ByteOrder::Badc => (words[0], words[1]),
                     ByteOrder::Cdab | ByteOrder::Dcba => (words[1], words[0]),

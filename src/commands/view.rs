@@ -3,11 +3,11 @@
 use std::io::IsTerminal as _;
 use std::path::PathBuf;
 
-use crate::commands::arguments::{EvidenceArguments, model_words, run_path};
+use crate::commands::arguments::{EvidenceArguments, run_path};
 use crate::commands::by_hand::{self, ScreenResult};
 use crate::commands::evidence::{Judging, Prepared, RecommendationBench};
 use crate::report::wording::diagnosis as words;
-use crate::runtime::{Failure, Terminal, output};
+use crate::runtime::{Failure, Terminal};
 use crate::tui::Opens;
 use drivebench_diagnose::ErrorOf;
 
@@ -42,9 +42,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     if let Some(diagnosis) = &result.diagnosis {
         terminal.message(&words::diagnosis(diagnosis));
     }
-    let (run, evidence) = (output::quoted(run), arguments.evidence.words());
-    let model = model_words(model);
-    terminal.message(&format!("next: drivebench diagnose {run}{model}{evidence}"));
+    terminal.message(&format!("next: {}", arguments.evidence.diagnose(run, model)));
     Ok(())
 }
 

@@ -210,11 +210,11 @@ impl Terminal {
         json: bool,
         text: impl FnOnce(&T) -> String,
     ) -> Result<(), Failure> {
-        if json {
-            self.line(&serde_json::to_string_pretty(value)?)
-        } else {
-            self.line(text(value).trim_end())
-        }
+        if json { self.json(value) } else { self.line(text(value).trim_end()) }
+    }
+
+    pub(crate) fn json<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
+        self.line(&serde_json::to_string_pretty(value)?)
     }
 
     /// Prints a result in rows that fit.
