@@ -28,8 +28,7 @@ use drivebench_identify::{
     added_inertia, claims, lost_rows, nameplate, physical, repeat, sanity, scheme, temperature,
     voltage_departure,
 };
-use drivebench_model::config_text;
-use drivebench_model::config_text::help_for_unknown;
+use drivebench_model::config_text::{self, help_for_unknown};
 use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     ActiveEffect, FittedValue, Model, ModelFile, Motor, MotorKey, Scenario,

@@ -14,9 +14,8 @@ use clap::Args;
 use crate::runtime::controls::{Controls, DriveCell, DrivePower};
 use crate::runtime::failure::{Failure, LINK, USAGE};
 use crate::runtime::files::Recorded;
-use crate::runtime::opening;
 use crate::runtime::opening::{
-    Reopener, Tap, announce, emulator_config, in_memory, now, on_a_line, serve, suited, tap,
+    self, Reopener, Tap, announce, emulator_config, in_memory, now, on_a_line, serve, suited, tap,
     target, wired_profile,
 };
 use crate::runtime::output::Terminal;

@@ -275,7 +275,8 @@ impl RawTerminal {
     }
 }
 
-/// Halts the process group as the terminal itself would: `cargo run` and this program are one job of the shell. Returns
+/// Halts the process group as the terminal itself would: `cargo run` and this program are one job of the shell;
+/// whether it was resumed.
 fn halt_group() -> io::Result<bool> {
     let resumed = Arc::new(AtomicBool::new(false));
     let watch = signal_hook::flag::register(SIGCONT, Arc::clone(&resumed))?;

@@ -12,8 +12,7 @@ use std::sync::atomic::AtomicBool;
 
 use serde_json::Value;
 
-use super::process;
-use super::process::End;
+use super::process::{self, End};
 use crate::report::wording::drift as words;
 use crate::runtime::{Failure, estimates, read_text};
 use crate::workflow::suite::{IdentifiedStep, SuiteOutcome};

@@ -8,11 +8,9 @@ use std::sync::atomic::AtomicBool;
 
 use serde_json::Value;
 
-use super::baseline;
-use super::baseline::Baseline;
+use super::baseline::{self, Baseline};
 use super::own_drive::{DriveOrder, OwnDrive};
-use super::process;
-use super::process::{Done, End, Watch, error_message};
+use super::process::{self, Done, End, Watch, error_message};
 use crate::runtime::{INTERRUPTED, REFUSED, opening, output, read_text};
 use crate::workflow::suite::{
     Action, Answered, CASE, Case, CaseOutcome, ChangedFile, Check, Limit, SignalLimit, Step,

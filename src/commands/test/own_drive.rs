@@ -8,8 +8,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use serde_json::Value;
 
-use super::process;
-use super::process::Watch;
+use super::process::{self, Watch};
 use drivebench_link::Protocol;
 
 pub(super) struct DriveOrder<'a> {
