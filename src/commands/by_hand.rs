@@ -135,7 +135,12 @@ pub(crate) fn go_on(
 ) -> Result<Option<String>, Failure> {
     let ScreenEnd::Screen(exit) = screen else { return Ok(None) };
     let Some(opens) = Opens::after(*exit) else { return Ok(None) };
-    let result = show_run(folder, opens, terminal)?.left("interrupted in the diagnosis by hand")?;
+    let files = EvidenceFiles { for_screen: true, ..EvidenceFiles::of(folder, terminal) };
+    let prepared =
+        prepare(files, |path, _| load(path, ReadOptions::default(), terminal), Judging::Refits)?;
+    let target = RecommendationBench::of(None, &prepared, terminal)?;
+    let closed = show_prepared(&prepared, &target, opens, None, terminal)?;
+    let result = closed.left("interrupted in the diagnosis by hand")?;
     Ok(result.model().map(str::to_owned))
 }
 
@@ -155,14 +160,6 @@ pub(super) fn finish<T: Serialize>(
     }
     terminal.document(result, form, &document)?;
     screen.conclude(recorded.failure()).and(diagnosed.map(drop))
-}
-
-fn show_run(folder: &Path, opens: Opens, terminal: &Terminal) -> Result<Closed, Failure> {
-    let files = EvidenceFiles { for_screen: true, ..EvidenceFiles::of(folder, terminal) };
-    let prepared =
-        prepare(files, |path, _| load(path, ReadOptions::default(), terminal), Judging::Refits)?;
-    let target = RecommendationBench::of(None, &prepared, terminal)?;
-    show_prepared(&prepared, &target, opens, None, terminal)
 }
 
 /// Shows a model beside its runs until the screen is left; from there a person may search for missing effects, and write the

@@ -432,33 +432,27 @@ fn diagnose(done: &CommissionDone, exit: Exit, terminal: &Terminal) -> Result<St
     let Some(discovery) = done.discovery.clone() else {
         return Ok(String::new());
     };
-    let fitted_on = first_folder(done)?;
-    let mut shown = shown("the runs of this commissioning", &fitted_on);
-    if exit == Exit::Traces {
-        shown.opens = Opens::Traces;
-    }
-    let screen_result = by_hand(discovery, shown, terminal)?;
+    let (title, opens) = ("the runs of this commissioning", Opens::after(exit).unwrap_or_default());
+    let screen_result = by_hand(discovery, (title, opens), &first_folder(done)?, terminal)?;
     let is_changed = !screen_result.heading().is_empty() || screen_result.model().is_some();
     Ok(if is_changed { answered(&screen_result) } else { String::new() })
 }
 
 fn by_hand(
     discovery: Discovery,
-    shown: Shown,
+    (title, opens): (&str, Opens),
+    fitted_on: &Path,
     terminal: &Terminal,
 ) -> Result<ScreenResult, Failure> {
-    by_hand::show(discovery, shown, terminal)?.left("interrupted in the diagnosis by hand")
-}
-
-fn shown(title: &str, fitted_on: &Path) -> Shown {
-    Shown {
+    let shown = Shown {
         title: title.to_owned(),
-        opens: Opens::Search,
+        opens,
         stopped_at: None,
         fitted_on: fitted_on.display().to_string(),
         history: FileHistory::default(),
         output: None,
-    }
+    };
+    by_hand::show(discovery, shown, terminal)?.left("interrupted in the diagnosis by hand")
 }
 
 /// Records the recommended run and diagnoses it together with those before it; the result in a sentence. The run that this
@@ -494,8 +488,8 @@ fn experiment(
     let fitted = before.evidence().first_run();
     let (scenario, notes) = admit_later(&recorded.load()?, before.model(), fitted, &terminal)?;
     let discovery = before.with_run(scenario);
-    let shown = shown("with the recommended run", &folder);
-    let screen_result = by_hand(discovery.clone(), shown, &terminal)?;
+    let shown = ("with the recommended run", Opens::Search);
+    let screen_result = by_hand(discovery.clone(), shown, &folder, &terminal)?;
     let mut result = vec![answered(&screen_result)];
     result.extend(notes);
     result.push(folder.display().to_string());

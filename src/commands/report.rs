@@ -44,7 +44,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let _endable = terminal.endable()?;
     let done = report(arguments, terminal)?;
     if arguments.markdown {
-        return terminal.unfolded(&done, arguments.json, |done| done.markdown.clone());
+        return terminal.line(done.markdown.trim_end());
     }
     terminal.document(&done, Form::full(arguments.json), &done.document())
 }

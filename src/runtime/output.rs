@@ -200,17 +200,7 @@ impl Terminal {
         json: bool,
         text: impl FnOnce(&T) -> String,
     ) -> Result<(), Failure> {
-        self.unfolded(value, json, |value| folded(&text(value), columns()).join("\n"))
-    }
-
-    /// The same with the lines of the text as they are: for programs, or fitted already.
-    pub(crate) fn unfolded<T: Serialize>(
-        &self,
-        value: &T,
-        json: bool,
-        text: impl FnOnce(&T) -> String,
-    ) -> Result<(), Failure> {
-        if json { self.json(value) } else { self.line(text(value).trim_end()) }
+        if json { self.json(value) } else { self.text(&text(value)) }
     }
 
     pub(crate) fn json<T: Serialize>(&self, value: &T) -> Result<(), Failure> {
@@ -229,14 +219,16 @@ impl Terminal {
         form: Form,
         document: &Document,
     ) -> Result<(), Failure> {
-        self.unfolded(value, form.json, |_| {
-            if form.full {
-                let rows = document.full(columns());
-                rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
-            } else {
-                document.card(columns())
-            }
-        })
+        if form.json {
+            return self.json(value);
+        }
+        let text = if form.full {
+            let rows = document.full(columns());
+            rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
+        } else {
+            document.card(columns())
+        };
+        self.line(text.trim_end())
     }
 
     /// One line (or block) on stdout, flushed. A reader that closed its end is no error.
