@@ -49,7 +49,6 @@ pub(crate) struct ScreenResult {
     changes: Vec<String>,
     /// Changes after the diagnosis.
     undiagnosed: usize,
-    /// Files of models that were written.
     written: Vec<String>,
     /// Whether the last of them is the present model.
     is_written: bool,

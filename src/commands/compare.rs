@@ -138,7 +138,6 @@ fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failur
 
 #[derive(Serialize)]
 pub(crate) struct VersusResult {
-    /// Files of the models, and the effects in them.
     models: [ModelOf; 2],
     #[serde(flatten, serialize_with = "json::of_both")]
     found: Versus,

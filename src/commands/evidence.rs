@@ -782,7 +782,6 @@ impl RecommendationBench {
         self.limits
     }
 
-    /// Puts the recommended run into the diagnosis.
     pub(crate) fn recommend(
         &self,
         diagnosis: &mut Diagnosis,

@@ -173,7 +173,6 @@ fn nameplate(file: &str, text: &str) -> Result<MotorSection, ConfigError> {
     }
 }
 
-/// Remarks and the next steps, on stderr.
 fn remarks(made: &InitFile, name: Option<&str>, next: &[String], terminal: &Terminal) {
     for remark in &made.remarks {
         terminal.message(&format!("remark: {remark}"));

@@ -80,7 +80,6 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     Err(Failure::with_help(REFUSED, headline, help))
 }
 
-/// The parts of a map that are unsure.
 fn unsure(proposal: &Proposal) -> String {
     let is_unsure = |item: &&Item| item.hole.is_some() || item.confidence == Confidence::Unsure;
     let mut parts: Vec<String> = Vec::new();

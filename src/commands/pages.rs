@@ -19,7 +19,6 @@ use drivebench_identify::noise::NoiseFloor;
 use drivebench_model::plant::{Input, Model, Motor, Scenario};
 use drivebench_model::sample::Channel;
 
-/// Writes the page of one run into its folder.
 pub(crate) fn write_run(
     recorded: &mut Recorded,
     plan: Option<&Plan>,

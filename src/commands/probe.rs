@@ -595,7 +595,6 @@ fn try_line(
     Ok(())
 }
 
-/// How a profile fits, with the reason.
 fn fit(report: &ProbeReport) -> (Fit, String) {
     let mut signals = report.signals.iter();
     let unread = signals.find(|signal| signal.raw.is_none() && signal.missing.is_some());

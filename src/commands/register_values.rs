@@ -8,7 +8,6 @@ use serde::Serialize;
 use drivebench_link::CellTable;
 use drivebench_link::register_map::{Kind, Layout, Order};
 
-/// The digits of a number in hexadecimal.
 fn hexadecimal(text: &str) -> Option<&str> {
     text.strip_prefix("0x").or_else(|| text.strip_prefix("0X"))
 }

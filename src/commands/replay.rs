@@ -92,7 +92,6 @@ struct Replayed {
     not_compared_because: Option<String>,
 }
 
-/// Runs the estimators over a run and compares with the live estimates.
 fn replayed(
     run: &Path,
     options: ReadOptions<'_>,

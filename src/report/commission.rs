@@ -180,7 +180,6 @@ impl CommissionReport<'_> {
     }
 }
 
-/// The tone of a diagnosis, on pages and screens.
 pub const fn tone(answer: Answer) -> Tone {
     match answer {
         Answer::Unexplained | Answer::NotFitted => Tone::Bad,

@@ -30,7 +30,6 @@ impl ConfirmRun {
     }
 }
 
-/// Measured and simulated signals, and the residuals.
 pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
     let panels = panels(run);
     document.figure(

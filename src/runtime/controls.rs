@@ -13,7 +13,6 @@ pub(crate) struct Controls {
     pub interrupted: Arc<AtomicBool>,
     /// Set by every stop key: nothing more is to be started, also between two runs, where intents are not read.
     pub stop_requested: Arc<AtomicBool>,
-    /// Whether the drive may be on.
     pub drive: DriveCell,
     intents: Receiver<Intent>,
 }
@@ -86,7 +85,6 @@ impl Ends {
     }
 }
 
-/// Whether a drive may be on.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) enum DrivePower {
     /// Nothing is energised by us.

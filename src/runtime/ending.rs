@@ -299,7 +299,6 @@ fn is_over_after_stop<T>(terminal: &Terminal, thread: &JoinHandle<T>, ends: &End
     thread.is_finished()
 }
 
-/// The failure of work that did not end.
 fn unfinished(screen: ScreenEnd, drive: &DrivePower) -> Failure {
     let is_on = matches!(drive, DrivePower::MayBeOn { .. });
     match screen {

@@ -351,7 +351,6 @@ impl Recorded {
         }
     }
 
-    /// Writes the recorded samples as Parquet too.
     pub(crate) fn keep_parquet(&mut self) {
         let recorded = self.logs.as_ref().and_then(KeptLogs::samples);
         let columns = recorded
@@ -448,12 +447,10 @@ pub(crate) fn early_end(
     Some((status, headline, page))
 }
 
-/// The table of `samples.csv` as Parquet.
 pub(crate) fn samples_as_parquet(table: &[u8]) -> Result<Vec<u8>, String> {
     parquet(table, ColumnKind::of_samples)
 }
 
-/// The table of a CSV as Parquet.
 #[cfg(feature = "parquet")]
 pub(crate) fn parquet(
     table: impl std::io::Read,

@@ -167,7 +167,6 @@ pub(crate) fn in_memory(
     Ok(Box::new(MemoryLink::new(SoftDrive::new(config, seed), time, latency(config, bench))))
 }
 
-/// The software drive on a serial line in memory.
 pub(crate) fn on_a_line(
     config: &EmulatorConfig,
     bench: &BenchFile,

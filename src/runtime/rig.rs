@@ -170,7 +170,6 @@ pub(crate) struct Rig {
     pub(crate) escalates: bool,
     /// The motor of the bench file, whatever is found later.
     pub(crate) nameplate_motor: Motor,
-    /// Whether the drive may be on.
     power: DriveCell,
 }
 

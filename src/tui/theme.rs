@@ -49,10 +49,8 @@ pub(super) const fn level(level: Level) -> Style {
     }
 }
 
-/// How screens are shown on this terminal.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Appearance {
-    /// Colours for a light background.
     pub is_light: bool,
     /// Wheel and clicks act on screens; the terminal's own selection of text then needs the Shift key.
     pub takes_mouse: bool,

@@ -84,7 +84,6 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     sum.failure().map_or(Ok(()), Err)
 }
 
-/// Counts of the runs by status.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 struct Analysed {
     runs: usize,

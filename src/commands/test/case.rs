@@ -223,7 +223,6 @@ impl Progress<'_> {
         Ok(())
     }
 
-    /// This program with these arguments.
     fn command_of(&self, arguments: &[String]) -> Command {
         let mut command = Command::new(self.bench.program);
         command.args(arguments).env("RAYON_NUM_THREADS", self.bench.threads.to_string());

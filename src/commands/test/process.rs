@@ -134,7 +134,6 @@ pub(super) fn end(child: &mut Child, patience_s: f64) -> io::Result<Option<ExitS
     Ok(None)
 }
 
-/// The message of the error that a command ended with.
 pub(super) fn error_message(stderr: &Path) -> Option<String> {
     let text = fs::read_to_string(stderr).ok()?;
     let mut lines = text.lines().filter(|line| line.starts_with("{\"error\""));

@@ -19,7 +19,6 @@ pub const fn status(status: Status) -> &'static str {
     }
 }
 
-/// What the runs show of an effect, and why.
 pub fn evidence(own: &Candidate) -> String {
     let effect = effect::find(own.effect);
     let name = effect.map_or(own.effect, |effect| effect.card().name);
@@ -78,7 +77,6 @@ pub(super) fn not_judged(name: &str, why: &str) -> String {
     format!("{name} cannot be judged from this run: {why}")
 }
 
-/// Why an effect is not named.
 pub fn veto(reason: &VetoReason) -> String {
     match reason {
         VetoReason::Surplus { most } => {

@@ -65,7 +65,6 @@ fn reason(result: &AddResult) -> String {
     }
 }
 
-/// How the held-out error changes.
 fn fall(result: &AddResult) -> String {
     if let Some(drop) = &result.winding_drop {
         return fall_of_voltage(drop);

@@ -240,7 +240,6 @@ fn not_repeating(found: &Diagnosis) -> String {
     )
 }
 
-/// A part of the error that no effect explains.
 pub fn unknown(part: &Unknown) -> String {
     let axis = match part.kind {
         UnknownKind::TorqueOverAngle => "the angle of the shaft",

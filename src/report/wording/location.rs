@@ -163,7 +163,6 @@ pub fn balance(balance: &EquationBalance, locations: &[FailureLocation]) -> Stri
     }
 }
 
-/// The parameter with the largest change.
 fn largest_change(balance: &EquationBalance) -> String {
     let changes = balance.own_changes.iter();
     let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
@@ -192,7 +191,6 @@ pub fn undecided(found: &Undecided) -> String {
     }
 }
 
-/// Where a model fails, in one sentence.
 pub fn failure(comparison: &Comparison) -> String {
     let words = match comparison.where_it_fails().0 {
         Where::First => return comparison.locations.first().map_or_else(String::new, location),
@@ -267,7 +265,6 @@ pub fn curve_title(curve: &EffectCurve) -> String {
     format!("error of the {} equation, {}", curve.equation, curve.unit)
 }
 
-/// The axis of a curve.
 pub fn axis_name(curve: &EffectCurve) -> String {
     let periods = curve.periods_per_turn;
     if periods > 1.0 {
@@ -276,7 +273,6 @@ pub fn axis_name(curve: &EffectCurve) -> String {
     name_and_unit(curve.axis).0.to_owned()
 }
 
-/// The same with its unit.
 pub fn axis_label(curve: &EffectCurve) -> String {
     format!("{}, {}", axis_name(curve), curve.axis_unit)
 }

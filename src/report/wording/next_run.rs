@@ -75,7 +75,6 @@ fn with_faster(faster: &FasterRun) -> String {
     )
 }
 
-/// The recommended run with its peaks.
 fn described(next: &NextExperiment) -> String {
     let Some((recipe, peaks)) = next.recipe.as_ref().zip(next.peaks) else {
         return String::new();

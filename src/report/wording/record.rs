@@ -109,7 +109,6 @@ fn counted(number: usize) -> String {
     out
 }
 
-/// The measured voltage beside the commanded one.
 pub fn departure(found: &Departure) -> String {
     format!(
         "the measured voltage is not the commanded one in {:.1} % of the rows (by up to {:.1} V): the drive limited it (current \

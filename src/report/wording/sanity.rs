@@ -433,7 +433,6 @@ fn help_for_unit(fault: &UnitFault, map: &str) -> String {
     }
 }
 
-/// Why cells are taken as missing.
 pub fn masked(masked: &Masked) -> String {
     match masked {
         Masked::Code { channel, value, rows, of, first_s, others: (least, most) } => {

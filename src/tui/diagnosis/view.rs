@@ -394,7 +394,6 @@ fn change(added: bool, result: &AddResult) -> (String, Style) {
     (text, theme::GOOD)
 }
 
-/// The card of the selected effect with its findings of this run.
 fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(effect) = state.row().and_then(|row| row.effect()) else {
         return;
@@ -403,7 +402,6 @@ fn card(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     state.hidden.set(document(&card, first, area, buffer));
 }
 
-/// Open questions and the recommended run.
 fn next(state: &State, first: usize, area: Rect, buffer: &mut Buffer) {
     let Some(diagnosis) = &state.diagnosis else {
         return;
