@@ -6,7 +6,7 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 28_622),
+    ("crates/drivebench-bench", 28_630),
     ("crates/drivebench-control", 6_530),
     ("crates/drivebench-diagnose", 22_530),
     ("crates/drivebench-emulator", 12_990),
@@ -15,10 +15,10 @@ const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-model", 17_510),
     ("crates/drivebench-studies", 10_200),
     ("firmware-protocol", 5_010),
-    ("src/commands", 14_850),
-    ("src/report", 9_150),
-    ("src/runtime", 2_950),
-    ("src/tui", 7_830),
+    ("src/commands", 14_300),
+    ("src/report", 9_040),
+    ("src/runtime", 3_030),
+    ("src/tui", 7_800),
     ("src/workflow", 4_890),
     ("tests/bench", 2_430),
     ("tests/cli", 5_010),
