@@ -161,7 +161,7 @@ pub(super) fn finish<T: Serialize>(
     screen.conclude(recorded.failure()).and(diagnosed.map(drop))
 }
 
-/// Shows a model beside its runs until the screen is left; from there a person may search for missing effects, and write the
+/// Shows a model with its runs until the screen is left; from there a person may search for missing effects, and write the
 /// model to `output`.
 pub(super) fn show_prepared(
     prepared: &Prepared,

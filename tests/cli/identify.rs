@@ -94,7 +94,7 @@ fn a_load_trace_never_overwrites_a_record() {
     let model = run.join("model.toml");
     let before = fs::read(&samples).expect("a record");
     let text = "identify {} --model {} --load-torque {}";
-    call(text, &[&samples, &model, &samples]).fails(2, &["never overwritten"]);
+    call(text, &[&samples, &model, &samples]).fails(2, &["nothing is overwritten"]);
     assert_eq!(fs::read(&samples).expect("a record"), before);
 }
 
