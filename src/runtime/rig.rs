@@ -419,7 +419,7 @@ impl Rig {
         let motor = self.nameplate()?;
         let guard = self.guard(&motor);
         let session = Session::new(Box::new(pilot), guard);
-        self.record_session(name, self.bench.runs.fit, Planned::of(session, None), controls)
+        let run = Planned { speed: Some(about), ..Planned::of(session, Some(motor)) };
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
 
