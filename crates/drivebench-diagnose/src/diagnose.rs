@@ -18,7 +18,7 @@ use super::next_experiment::NextExperiment;
 use super::progress::{Event, Progress, Stage, silent};
 use super::score::{Fitted, Score, by_key, cannot_simulate};
 use super::trivial::{self, TrivialPrediction};
-use super::vetoes;
+use super::vetoes::{self, VetoReason};
 use super::winding_drop::{self, WindingDrop};
 use drivebench_identify::noise::{FloorSource, NoiseFloor};
 use drivebench_identify::output_error::{self, FitError};
@@ -392,9 +392,20 @@ impl Conclusion {
         if !rungs[0].score.nrms.is_finite() {
             return Err(nothing_judged(&bench.evidence.holdout));
         }
+        let mut moved = Vec::new();
         while let Some(veto) = vetoes::first(&bench, &inference, &inference.named, &rungs) {
             let before = inference.named.clone();
-            inference.veto(veto);
+            // What lowers no error before another effect may lower it after that.
+            let is_first = matches!(veto.reason, VetoReason::NotLower { .. })
+                && before.last() != Some(&veto.effect)
+                && !moved.contains(&veto.effect);
+            if is_first {
+                moved.push(veto.effect);
+                inference.named.retain(|id| *id != veto.effect);
+                inference.named.push(veto.effect);
+            } else {
+                inference.veto(veto);
+            }
             let known = passed(rungs, &before, &inference.named);
             rungs = climbed(&mut inference, known)?;
         }

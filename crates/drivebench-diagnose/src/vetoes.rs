@@ -99,7 +99,6 @@ pub(super) fn first(
         .or_else(|| short_lag(bench, named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
-        .or_else(|| of_forms(bench, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
         .or_else(|| without_weight(bench, inference, named, rungs))
 }
@@ -179,14 +178,18 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
     })
 }
 
-/// The last named effect whose size is not significant in the fit with all of them; of an event to two standard deviations, since
-/// it is the largest of those at all times.
+/// The last named effect whose size is not significant in the fit with all of them: to two standard deviations of an event, since it
+/// is the largest of those at all times, and of an effect of which hardly a fall of the error shows that the forms of those before it
+/// do not make it.
 fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
-    let least_sigmas =
-        |id: &str| if happens_once(id) { 2.0 * SIGNIFICANT_SIGMAS } else { SIGNIFICANT_SIGMAS };
-    let mut named = named.iter().rev().copied();
-    let effect = named.find(|id| fit.is_significant(id, least_sigmas(id)) == Some(false))?;
+    let is_without = |(pair, id): &(&[Standing], &&'static str)| {
+        let errors = [&rungs[0], &pair[0], &pair[1]].map(|rung| rung.score.nrms);
+        let is_doubtful = is_faint(pair, AS_GOOD) && hides_in_forms(errors);
+        let sigmas = if is_doubtful || happens_once(id) { 2.0 } else { 1.0 };
+        fit.is_significant(id, sigmas * SIGNIFICANT_SIGMAS) == Some(false)
+    };
+    let (_, effect) = rungs.windows(2).zip(named).rev().find(is_without)?;
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 
@@ -256,17 +259,6 @@ fn by_chance(
     Some(Veto { effect, reason: VetoReason::ByChance })
 }
 
-/// The last named effect that hardly lowers an error which may be of the forms of the effects before it: they explain so much that the
-/// difference to the forms of the machine leaves as much.
-fn of_forms(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
-    let is_of_forms = |(pair, _): &(&[Standing], &&str)| {
-        let errors = [&rungs[0], &pair[0], &pair[1]].map(|rung| rung.score.nrms);
-        is_faint(pair, AS_GOOD) && hides_in_forms(errors)
-    };
-    let (pair, effect) = rungs.windows(2).zip(named).rev().find(is_of_forms)?;
-    Some(Veto { effect, reason: not_lower(bench, pair) })
-}
-
 /// Whether an effect explains less than the forms of those before it may leave; errors without any, before and with it.
 fn hides_in_forms([base, before, after]: [f64; 3]) -> bool {
     before * before - after * after < FORM_SQUARES * (base * base - before * before)
@@ -308,8 +300,11 @@ fn without_use(
 ) -> Option<Veto> {
     let floor = inference.floor(&bench.evidence);
     let last = rungs.last()?.score.nrms;
-    let not_lower =
-        |effect: &'static str, pair: &[Standing]| Veto { effect, reason: not_lower(bench, pair) };
+    let not_lower = |effect: &'static str, pair: &[Standing]| {
+        let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
+        let floor = bench.evidence.noise.source;
+        Veto { effect, reason: VetoReason::NotLower { before, after, floor } }
+    };
     if floor.is_reached(last) {
         // A balance of torques with an error below the floor has systematic errors of its sensors, which are no noise: only a clear
         // fall is an effect (0.30 to 0.28 floors, of a current by a few thousandths, is none). An error of a free run that unknown
@@ -364,11 +359,6 @@ fn without_use(
     };
     let mut named = rungs.windows(2).enumerate().rev().map(|(step, pair)| (named[step], pair));
     named.find(|(id, pair)| is_of_no_use(id, pair)).map(|(effect, pair)| not_lower(effect, pair))
-}
-
-fn not_lower(bench: &Bench, pair: &[Standing]) -> VetoReason {
-    let [before, after] = [pair[0].score.nrms, pair[1].score.nrms];
-    VetoReason::NotLower { before, after, floor: bench.evidence.noise.source }
 }
 
 /// Whether an event does not lower the error of any run by this ratio.

@@ -17,7 +17,7 @@ use super::residuals::{excess_of, unknown_shares};
 use super::run::{LinearisedRun, squares};
 use super::select::{Posterior, Reduced, Set, select};
 use super::solution::{FittedEvent, fitted_events, linearised_runs, present, with_event_times};
-use super::stepwise::{forward_selection, starting_model};
+use super::stepwise::{forward_selection, is_searched, starting_model};
 use crate::progress::{Event as Notice, Progress, Stage};
 use crate::work::Work;
 use drivebench_model::plant::{Effect, Input, Model, ParameterSpec, Scenario, State};
@@ -150,7 +150,10 @@ pub(super) fn search(
     floor: Noise,
     progress: Progress<'_>,
 ) -> Option<SearchResult> {
+    // An earlier search has tried them: they are tried again when the set is stable.
+    let tried = eligible.iter().filter(|effect| is_searched(models) && has_fixed_size(**effect));
     let mut search = Search {
+        improbable: tried.map(|effect| effect.card().id).collect(),
         eligible,
         runs,
         floor,
@@ -159,12 +162,15 @@ pub(super) fn search(
         verdicts: Vec::new(),
         replaced: None,
         last: Hypothesis::of(models[0]),
-        improbable: Vec::new(),
     };
     search.rounds(models, progress).or_else(|| {
         search.improbable.clear();
         search.result_at_last()
     })
+}
+
+fn has_fixed_size(effect: &dyn Effect) -> bool {
+    !effect.parameters().iter().any(ParameterSpec::is_coefficient)
 }
 
 /// State of the iteration.
@@ -200,8 +206,7 @@ impl<'a> Search<'a> {
     ) -> Option<Linear> {
         let is_tried = |effect: &&&'static dyn Effect| {
             let id = effect.card().id;
-            let has_fixed_size = !effect.parameters().iter().any(ParameterSpec::is_coefficient);
-            let is_left_out = (is_far && has_fixed_size) || self.improbable.contains(&id);
+            let is_left_out = (is_far && has_fixed_size(**effect)) || self.improbable.contains(&id);
             !is_left_out || hypothesis.model.has(id)
         };
         let eligible: Vec<_> = self.eligible.iter().filter(is_tried).copied().collect();

@@ -256,8 +256,9 @@ fn fixed_size_gains(linear: &Linear, set: &Set) -> Vec<(f64, usize, usize)> {
         .collect()
 }
 
-/// Model to start the search from: the fitted one; or, if its mean square exceeds 100 or it has fewer effects, the other one, refitted
-/// by the filter, if its squares are less: fitting the free run of an incomplete model may end at parameters that no machine has.
+/// Model to start the search from: the fitted one; or the other one, if its squares are less: that of an earlier search as it is, and
+/// where the mean square of the fitted one exceeds 100 the given one, refitted by the filter: fitting the free run of an incomplete model
+/// may end at parameters that no machine has.
 pub(super) fn starting_model(
     [fitted, before]: [&Model; 2],
     runs: Runs<'_>,
@@ -266,11 +267,19 @@ pub(super) fn starting_model(
     let along = |model: &Model| runs.first().linearised_runs(&Hypothesis::of(model), noise);
     let left = along(fitted).map(|runs| (squares(&runs), runs[0].gains.rows));
     let is_far = left.is_none_or(|(left, rows)| left > 100.0 * rows as f64);
-    let has_fewer = fitted.effects.len() < before.effects.len();
-    let again =
-        (is_far || has_fewer).then(|| fit_as_followed(&Hypothesis::of(before), &along(before)?));
-    match again.flatten() {
-        Some((again, squares)) if left.is_none_or(|left| squares < left.0) => again,
+    let other = if is_searched([fitted, before]) {
+        along(before).map(|runs| (Hypothesis::of(before), squares(&runs)))
+    } else {
+        let again = is_far.then(|| fit_as_followed(&Hypothesis::of(before), &along(before)?));
+        again.flatten()
+    };
+    match other {
+        Some((other, squares)) if left.is_none_or(|left| squares < left.0) => other,
         _ => Hypothesis::of(fitted),
     }
+}
+
+/// Whether the second of two models is that of an earlier search, which alone has effects that the fitted one lacks.
+pub(super) fn is_searched([fitted, before]: [&Model; 2]) -> bool {
+    fitted.effects.len() < before.effects.len()
 }
