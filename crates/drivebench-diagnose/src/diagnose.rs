@@ -381,6 +381,10 @@ impl Conclusion {
         for veto in vetoes::surplus(&inference) {
             inference.veto(veto);
         }
+        if bench.fits_at_once() {
+            // What is always there comes first: an event near the begin of a run explains it too.
+            inference.named.sort_by_key(|id| vetoes::happens_once(id));
+        }
         progress(Event::Begun { stage: Stage::Refit, of: inference.named.len() });
         let climbed = |inference: &mut Inference, mut known: Vec<Standing>| loop {
             match climb(&bench, baseline, inference, std::mem::take(&mut known), progress)? {

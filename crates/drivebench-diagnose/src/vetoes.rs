@@ -173,6 +173,10 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
         let least = limit.map(|own| own.least_in(active.effect, run));
         let most = spec.most_of_length.is_finite().then(|| spec.in_run(&run.scales).max);
         let below = least.filter(|least| value < 1.02 * least);
+        // Before it nothing was measured: what has begun by then was always there.
+        let begin_s = 0.02 * run.scales.length_s;
+        let at_begin = spec.role == ParameterRole::EventTime && value < begin_s;
+        let below = below.or(at_begin.then_some(begin_s));
         let bound = below.or(most.filter(|most| 1.02 * value > *most))?;
         Some(VetoReason::ShapeAtBound { key: spec.key, bound })
     })
@@ -219,7 +223,7 @@ fn within_a_period(active: &ActiveEffect, run: &Scenario) -> Option<VetoReason> 
 }
 
 /// The effect with which the estimated inertia of a balance is no longer positive: its column is collinear with the balance
-/// itself.
+/// itself. An event has none to act on: of a commanded torque that steps it is the step itself.
 fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     if !bench.fits_at_once() {
         return None;
@@ -230,7 +234,8 @@ fn without_inertia(bench: &Bench, named: &[&'static str], rungs: &[Standing]) ->
         own.and_then(|own| own.value).is_some_and(|value| value > 0.0)
     };
     let mut steps = rungs.windows(2).zip(named);
-    let (_, effect) = steps.find(|(pair, _)| has_inertia(&pair[0]) && !has_inertia(&pair[1]))?;
+    let (_, effect) = steps
+        .find(|(pair, id)| !has_inertia(&pair[1]) && (has_inertia(&pair[0]) || happens_once(id)))?;
     Some(Veto { effect, reason: VetoReason::NoInertia })
 }
 
@@ -393,7 +398,7 @@ fn lowers([before, after]: [f64; 2], samples: usize) -> bool {
 }
 
 /// Whether an effect begins at an instant of a run.
-fn happens_once(id: &str) -> bool {
+pub(super) fn happens_once(id: &str) -> bool {
     let parameters = effect::find(id).map_or(&[][..], |found| found.card().parameters);
     parameters.iter().map(|own| own.role).any(|role| role == ParameterRole::EventTime)
 }

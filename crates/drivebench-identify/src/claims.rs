@@ -75,7 +75,7 @@ fn lacks_current(scenario: &Scenario) -> bool {
 /// Whether figures in this unit have no value where [`has_no_scale`].
 pub fn is_tied(unit: &str) -> bool {
     match unit {
-        "ohm" | "H" | "kg.m2" => true,
+        "ohm" | "H" | "kg.m2" | "A" | "1/A2" | "1/(A2.s)" => true,
         "N.m/A" => false,
         unit => unit.starts_with("N.m"),
     }

@@ -89,7 +89,7 @@ impl FirstOrder {
     ) -> Option<Self> {
         let rows = known(late, time_constant_s);
         let sum = |of: fn(&Row) -> f64| rows.iter().map(of).sum::<f64>();
-        let voltages = sum(|row| row.voltage * row.voltage);
+        let [voltages, directions, both] = moments(&rows);
         let by_voltage = sum(|row| row.voltage * (row.speed - row.free));
         let mut found = Self {
             gain_rad_s_per_v: by_voltage / voltages,
@@ -99,15 +99,12 @@ impl FirstOrder {
             left_rad_s: 0.0,
         };
         if frictions {
-            let directions = sum(|row| row.direction * row.direction);
             // Cramer's rule for the two normal equations.
-            let both = sum(|row| row.voltage * row.direction);
             let by_direction = sum(|row| row.direction * (row.speed - row.free));
             let determinant = voltages * directions - both * both;
             let gain = (directions * by_voltage - both * by_direction) / determinant;
             let friction_v = -(voltages * by_direction - both * by_voltage) / determinant / gain;
-            // With one level of the voltage the columns are collinear.
-            if determinant > 1e-3 * voltages * directions && friction_v > 0.0 && gain > 0.0 {
+            if !is_of_one_level(&rows) && friction_v > 0.0 && gain > 0.0 {
                 (found.gain_rad_s_per_v, found.friction_v) = (gain, friction_v);
             }
         }
@@ -146,17 +143,41 @@ impl FirstOrder {
             ("dead_time_s", "s", found.dead_time_s),
             ("friction_v", "V", found.friction_v),
         ];
+        let late = delayed(run, found.dead_time_s);
+        let has_one_level = is_of_one_level(&known(&late, found.time_constant_s));
         let of = |((key, unit, value), std): ((&str, &'static str, f64), f64)| {
-            let key = format!("first_order.{key}");
             let relative = std / value.abs();
-            let doubt = (relative > SETTLED)
-                .then(|| format!("relative uncertainty {:.1} %", 100.0 * relative))
-                .map(|reason| (Reason::Uncertain, reason));
+            let doubt = if has_one_level && unit == "rad/s/V" {
+                let reason =
+                    "the voltage has one level: friction lowers the gain, and is contained in it";
+                Some((Reason::NotExcited, reason.to_owned()))
+            } else {
+                (relative > SETTLED)
+                    .then(|| format!("relative uncertainty {:.1} %", 100.0 * relative))
+                    .map(|reason| (Reason::Uncertain, reason))
+            };
+            let key = format!("first_order.{key}");
             let found = ParameterEstimate::found(key, unit, value, std, doubt);
             (value > 0.0 && std.is_finite()).then_some(found)
         };
         all.into_iter().zip(deviations).filter_map(of).collect()
     }
+}
+
+/// Sums of the squares of voltage and direction, and of their product.
+fn moments(rows: &[Row]) -> [f64; 3] {
+    let sum = |of: fn(&Row) -> f64| rows.iter().map(of).sum::<f64>();
+    [
+        sum(|row| row.voltage * row.voltage),
+        sum(|row| row.direction * row.direction),
+        sum(|row| row.voltage * row.direction),
+    ]
+}
+
+/// Whether the columns of voltage and friction are collinear: the voltage has one level, of either sign.
+fn is_of_one_level(rows: &[Row]) -> bool {
+    let [voltages, directions, both] = moments(rows);
+    voltages * directions - both * both <= 1e-3 * voltages * directions
 }
 
 /// The run with a delayed input; before its first value the input is zero where the shaft is at rest, else the first value.

@@ -352,12 +352,15 @@ pub(crate) fn infer(
     if by_voltage && !has_current {
         share_without_current(&mut effects, &mut confusable);
     }
-    if by_voltage && !is_inductance_known(&found, &runs[0]) {
-        let is_hidden = |own: &&mut Inferred| {
-            own.probability < NAMED_PROBABILITY && changes_inductance(own.effect)
-        };
-        effects.iter_mut().filter(is_hidden).for_each(Inferred::leave_open);
-    }
+    let hides_inductance = by_voltage && !is_inductance_known(&found, &runs[0]);
+    // The phase of an angle that is the integral of a measured speed drifts, and a wave with it.
+    let hides_angle = !by_voltage && evidence.training.angle.is_empty();
+    let is_hidden = |own: &&mut Inferred| {
+        let is_unknown = hides_inductance && changes_inductance(own.effect)
+            || hides_angle && own.effect.card().needs_angle;
+        own.probability < NAMED_PROBABILITY && is_unknown
+    };
+    effects.iter_mut().filter(is_hidden).for_each(Inferred::leave_open);
     let probability = |id: &str| {
         let own = effects.iter().find(|own| own.id() == id);
         own.map_or(0.0, |own| own.probability)

@@ -6,7 +6,8 @@ use crate::mechanical::{depends_on_drive, start_of};
 use drivebench_identify::balance::has_both_power_flows;
 use drivebench_identify::noise::noise_in_motion;
 use drivebench_identify::speed_from_angle;
-use drivebench_model::numerics::statistics::extent;
+use drivebench_model::numerics::statistics::{extent, finite};
+use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
     Effect, Enters, Input, Instant, ParameterSpec, Scenario, State, Terms, starts_from_rest,
 };
@@ -24,7 +25,8 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
         return Some("the run starts from rest once at most: there it is a start delay");
     }
     if scenario.input == Input::Voltage {
-        return None;
+        let has_current = scenario.current_a.iter().any(|current_a| current_a.is_finite());
+        return if has_current { None } else { why_not_without_current(effect, scenario) };
     }
     let why_not = match effect.card().enters {
         Enters::Voltage => Some("no voltage drives the run, and it acts in the voltage balance"),
@@ -73,6 +75,32 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     let mut orders = orders.iter();
     let is_resolved = orders.any(|order| resolves_wave(effect, scenario, *order));
     (!is_resolved).then_some("the shaft turns through it from one sample to the next")
+}
+
+/// What a record of voltage and speed cannot show: it determines `L/R`, `R J/Kt` and `Ke + R B/Kt`, and no current.
+fn why_not_without_current(effect: &dyn Effect, scenario: &Scenario) -> Option<&'static str> {
+    let offsets = [TermKind::TorqueOffset, TermKind::VoltageOffset].map(TermKind::id);
+    let (lowest, most) = extent(finite(&scenario.speed_rad_s));
+    let turns_both_ways = most.min(-lowest) > 0.05 * most.max(-lowest);
+    let is_over_current = |spec: &ParameterSpec| {
+        spec.unit == "ohm"
+            || spec.unit.split(['/', '(', '.', ' ']).any(|unit| unit.starts_with('A'))
+    };
+    if effect.card().id == TermKind::Drag.id() {
+        Some(
+            "without a current a torque in proportion to the speed is a part of Ke: record the current",
+        )
+    } else if effect.card().id == TermKind::LateCurrent.id()
+        || effect.parameters().iter().any(is_over_current)
+    {
+        Some("its size is in proportion to the current, which was not recorded")
+    } else if offsets.contains(&effect.card().id) && !turns_both_ways {
+        Some(
+            "the shaft turns one way only, and no current was recorded: there it is a part of the friction",
+        )
+    } else {
+        None
+    }
 }
 
 /// Whether the effect is friction that grows with the driving torque.

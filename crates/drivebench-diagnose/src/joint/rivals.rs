@@ -127,17 +127,23 @@ pub(super) fn share_at_limit(
     }
 }
 
-/// Without a current a voltage offset and a constant load are the same drive: the probable one of them stands for both.
+/// Without a current a voltage offset and a constant load are the same drive, and a late command and a late speed the same delay: the
+/// probable one of each pair stands for both.
 pub(super) fn share_without_current(
     effects: &mut [Inferred],
     confusable: &mut Vec<[&'static str; 2]>,
 ) {
-    let alike = [TermKind::VoltageOffset, TermKind::TorqueOffset].map(TermKind::id);
-    let of = |id: &str| effects.iter().find(|own| own.id() == id);
-    let probable = |id: &&str| of(id).is_some_and(|own| own.probability > NAMED_PROBABILITY);
-    if let Some(named) = alike.into_iter().find(probable) {
-        let other = alike[usize::from(named == alike[0])];
-        share_at_limit([other, named], effects, confusable);
+    for pair in [
+        [TermKind::VoltageOffset, TermKind::TorqueOffset],
+        [TermKind::LateCommand, TermKind::LateSpeed],
+    ] {
+        let alike = pair.map(TermKind::id);
+        let of = |id: &str| effects.iter().find(|own| own.id() == id);
+        let probable = |id: &&str| of(id).is_some_and(|own| own.probability > NAMED_PROBABILITY);
+        if let Some(named) = alike.into_iter().find(probable) {
+            let other = alike[usize::from(named == alike[0])];
+            share_at_limit([other, named], effects, confusable);
+        }
     }
 }
 
@@ -161,16 +167,16 @@ mod tests {
     }
 
     #[test]
-    fn without_a_current_an_offset_and_a_load_are_one_of_two() {
-        for (probabilities, expected) in [([1.0, 0.03], true), ([0.2, 0.1], false)] {
-            let [offset, load] = probabilities;
-            let mut effects =
-                [inferred_as("voltage_offset", offset), inferred_as("constant_load", load)];
-            let mut pairs = vec![];
-            share_without_current(&mut effects, &mut pairs);
-            assert_eq!(pairs == [["voltage_offset", "constant_load"]], expected);
-            assert_eq!(effects[0].probability < offset, expected);
-            assert_eq!(effects[1].upper_bound.is_none(), expected);
+    fn without_a_current_an_offset_and_a_load_are_one_of_two_as_two_delays_are() {
+        for pair in [["voltage_offset", "constant_load"], ["speed_delay", "command_delay"]] {
+            for (probabilities, expected) in [([1.0, 0.03], true), ([0.2, 0.1], false)] {
+                let mut effects = [0, 1].map(|k| inferred_as(pair[k], probabilities[k]));
+                let mut pairs = vec![];
+                share_without_current(&mut effects, &mut pairs);
+                assert_eq!(pairs == [pair], expected);
+                assert_eq!(effects[0].probability < probabilities[0], expected);
+                assert_eq!(effects[1].upper_bound.is_none(), expected);
+            }
         }
     }
 
