@@ -185,15 +185,22 @@ impl Table<'_> {
         found
     }
 
-    /// A column that never changes gives way to another.
+    /// A column that never changes gives way to another; a voltage is that of a step, unless the motor turns both ways.
     fn leave_out_constants(&self, found: &mut Sources) {
+        let range = |source: &Source| extent(finite(&source.values));
+        let speeds = found.all.iter().filter(|source| source.is_of(&[Channel::Speed]));
+        let turns_both_ways = speeds.map(range).any(|(least, most)| {
+            let larger = most.max(-least);
+            most.min(-least) > 0.05 * larger
+        });
         let changes = |source: &Source| {
-            let (least, most) = extent(finite(&source.values));
-            least < most || source.is_of(&VOLTAGES)
+            let (least, most) = range(source);
+            least < most || source.is_of(&VOLTAGES) && !turns_both_ways
         };
         let (mut kept, constant): (Vec<_>, Vec<_>) = found.all.drain(..).partition(changes);
         for source in constant {
-            if kept.iter().any(|other| other.target == source.target) {
+            let gives_way = kept.iter().any(|other| other.target == source.target);
+            if gives_way || source.is_of(&VOLTAGES) {
                 found.unused.push(Unused::Constant { header: self.header(source.columns[0]) });
             } else {
                 kept.push(source);

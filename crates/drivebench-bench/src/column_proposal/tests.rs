@@ -96,6 +96,9 @@ fn balances_distinguish_columns_and_signs() {
         assert_eq!(found.confidence(), Confidence::Likely);
         has(format!("{found:?}"), "Reversed {");
     }
+    // A voltage that never changes drives no motor both ways.
+    let found = proposal("t_s,u_V,i_A,w_rad_s", |_, [t, _, i, w, _]| format!("{t},36,{i},{w}"));
+    assert_eq!(of(&found, "voltage_v"), "", "{found:#?}");
     // Two currents, one of them that of something else.
     let found =
         proposal("t_s,u_V,fan_current_A,motor_current_A,w_rad_s", |place, [t, u, i, w, _]| {
