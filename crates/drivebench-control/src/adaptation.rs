@@ -10,30 +10,6 @@
 use drivebench_model::numerics::change_watch::ChangeWatch;
 use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 
-struct Settings {
-    /// Below this speed the direction is noise, rad/s.
-    least_speed_rad_s: f64,
-    /// Rows and relative standard deviation of Kt/J from which on it is settled.
-    fewest_rows: u64,
-    settled: f64,
-    /// Sum of the prediction errors of the last rows over that of their speed changes at a jump.
-    jump_share: f64,
-    /// Periods of the torsional oscillation that a row is the mean of: the more, the less the twist counts against the change
-    /// of the mean speed.
-    torsion_periods: f64,
-    /// Prior variance of the parameters over their size, in noise variances.
-    prior: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    least_speed_rad_s: 2.0,
-    fewest_rows: 8,
-    settled: 0.05,
-    jump_share: 0.25,
-    torsion_periods: 2.0,
-    prior: 1e8,
-};
-
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Load {
     /// Kt/J, rad/s^2 per A.
@@ -113,14 +89,14 @@ impl LoadEstimator {
         let start = [acceleration_per_a, friction_rad_s2];
         let scale = [acceleration_per_a, friction_rad_s2.max(acceleration_per_a)];
         Self {
-            estimator: RecursiveLeastSquares::new(start, scale, SETTINGS.prior, forgetting),
+            estimator: unknown(start, scale, forgetting),
             scale,
             forgetting,
             span_s: 0.0,
             row: RowMean::default(),
             last: None,
             continues: false,
-            change: ChangeWatch::new(SETTINGS.jump_share, 2.0 * noise_rad_s * noise_rad_s),
+            change: ChangeWatch::new(0.25, 2.0 * noise_rad_s * noise_rad_s),
             detects_change: true,
             jumps: 0,
         }
@@ -136,7 +112,8 @@ impl LoadEstimator {
     /// Behind a coupling with this period of its oscillation.
     #[must_use]
     pub(super) const fn with_torsion_period(mut self, period_s: f64) -> Self {
-        self.span_s = SETTINGS.torsion_periods * period_s;
+        // Of more periods the twist would count less against the change of the mean speed, but rows would be fewer.
+        self.span_s = 2.0 * period_s;
         self.without_change_detection()
     }
 
@@ -154,10 +131,9 @@ impl LoadEstimator {
             return false;
         };
         self.last = now;
-        let moving = last_speed.abs() > SETTINGS.least_speed_rad_s
-            && speed.abs() > SETTINGS.least_speed_rad_s
-            && last_speed * speed > 0.0;
-        if !moving {
+        // Below 2 rad/s the direction is noise.
+        let is_moving = last_speed.abs().min(speed.abs()) > 2.0 && last_speed * speed > 0.0;
+        if !is_moving {
             self.begin(speed, period_s);
             return false;
         }
@@ -192,8 +168,7 @@ impl LoadEstimator {
         let predicted = known[0] * regressor[0] + known[1] * regressor[1];
         // An estimate that has not settled mispredicts under any load.
         if self.change.take(predicted, speed_change, self.load().settled) {
-            self.estimator =
-                RecursiveLeastSquares::new(known, self.scale, SETTINGS.prior, self.forgetting);
+            self.estimator = unknown(known, self.scale, self.forgetting);
             self.interrupt();
             self.jumps += 1;
         }
@@ -206,11 +181,15 @@ impl LoadEstimator {
             acceleration_per_a: value,
             std,
             friction_rad_s2: friction.max(0.0),
-            settled: self.estimator.rows() >= SETTINGS.fewest_rows
-                && value > 0.0
-                && std < SETTINGS.settled * value,
+            settled: self.estimator.rows() >= 8 && value > 0.0 && std < 0.05 * value,
         }
     }
+}
+
+/// Nothing is known but the size of the parameters.
+fn unknown(start: [f64; 2], scale: [f64; 2], forgetting: f64) -> RecursiveLeastSquares<2> {
+    // Prior variance over the size, in noise variances.
+    RecursiveLeastSquares::new(start, scale, 1e8, forgetting)
 }
 
 #[cfg(test)]

@@ -15,27 +15,6 @@ use super::{
 };
 use drivebench_model::plant::{Model, MotorKey};
 
-struct Settings {
-    /// Time in which a gain may change by a factor of e, s.
-    gain_time_s: f64,
-    /// Relative change of the proportional gain below which it stays, at least and in standard deviations of the estimate:
-    /// noise changes no gain.
-    dead_band: f64,
-    dead_band_stds: f64,
-    /// Standard deviations of the estimate within which the gain has its margin.
-    bound_stds: f64,
-    /// Relative change that is logged, once the gains no longer change.
-    logged: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    gain_time_s: 0.1,
-    dead_band: 0.05,
-    dead_band_stds: 3.0,
-    bound_stds: 2.0,
-    logged: 0.01,
-};
-
 const NOT_SETTLED: &str = "the estimate is not settled";
 
 #[derive(Clone, Debug)]
@@ -185,7 +164,8 @@ impl Addc {
             return;
         }
         let ratio = |acceleration: f64| self.model_acceleration_per_a / acceleration;
-        let lightest = ratio(load.acceleration_per_a + SETTINGS.bound_stds * load.std);
+        // The gain has its margin within two standard deviations of the estimate.
+        let lightest = ratio(load.acceleration_per_a + 2.0 * load.std);
         let middle = ratio(load.acceleration_per_a);
         let mut wanted = self.schedule.within(lightest, middle);
         if let Some(electrical) = &self.electrical {
@@ -195,12 +175,13 @@ impl Addc {
         let proportional = self.pi.share() * wanted.gains.proportional;
         let change = proportional / now.proportional;
         let outside = now.proportional > wanted.most_proportional;
-        let band =
-            SETTINGS.dead_band.max(SETTINGS.dead_band_stds * load.std / load.acceleration_per_a);
+        // Noise changes no gain.
+        let band = 0.05_f64.max(3.0 * load.std / load.acceleration_per_a);
         if (change - 1.0).abs() < band && !outside {
             return;
         }
-        let most = (period_s / SETTINGS.gain_time_s).exp();
+        // A gain changes by a factor of e in a tenth of a second at most.
+        let most = (period_s / 0.1).exp();
         let moved = |from: f64, to: f64| to.clamp(from / most, from * most);
         let gains = PiGains {
             proportional: moved(now.proportional, proportional),
@@ -260,15 +241,15 @@ impl SpeedController for Addc {
         let (logged_proportional, logged_ratio, logged_jumps) = self.logged;
         let jumps = self.estimator.jumps();
         // One line for a change that takes some cycles, at its end.
-        let arrived =
-            !self.moved && (gains.proportional / logged_proportional - 1.0).abs() > SETTINGS.logged;
+        let has_changed = |now: f64, logged: f64| (now / logged - 1.0).abs() > 0.01;
+        let arrived = !self.moved && has_changed(gains.proportional, logged_proportional);
         if !arrived && jumps <= logged_jumps {
             return None;
         }
         let ratio = self.inertia_ratio();
         let because = if jumps > logged_jumps {
             "the load changed: the covariance of the estimate was reset"
-        } else if (ratio / logged_ratio - 1.0).abs() > SETTINGS.logged {
+        } else if has_changed(ratio, logged_ratio) {
             "the estimate changed"
         } else {
             "the gains have reached the estimate"

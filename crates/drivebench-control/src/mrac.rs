@@ -13,19 +13,6 @@ use serde::{Deserialize, Serialize};
 use super::limiter::limited;
 use super::{LinearPlant, LoopTiming, Measured, SpeedController};
 
-struct Settings {
-    /// Slow time constant of the reference model, in small time constants; one of them weights the error's rate.
-    model_small_times: f64,
-    /// Integral adaptation, 1/s, and proportional adaptation, for a unit error on a unit signal.
-    integral: f64,
-    proportional: f64,
-    /// Largest gain over the initial one: without identification there is no other bound.
-    largest: f64,
-}
-
-const SETTINGS: Settings =
-    Settings { model_small_times: 3.0, integral: 6.0, proportional: 0.3, largest: 40.0 };
-
 /// Sizes that make speed, current and voltage comparable.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MracScales {
@@ -39,6 +26,8 @@ pub struct Mrac {
     integral: [f64; 4],
     now: [f64; 4],
     largest_v: f64,
+    /// Of the adaptation, for a unit error on a unit signal.
+    unit_v: f64,
     scales: MracScales,
     /// Slow and fast time constant of the reference model, s, and the weight of the error's rate.
     model_s: [f64; 2],
@@ -68,7 +57,7 @@ impl Mrac {
         let (a, b) = plant.matrices();
         // The fast pole remains that of the circuit; the slow one is placed.
         let small_s = -1.0 / a[(0, 0)] + timing.small_time_s();
-        let model_s = [SETTINGS.model_small_times * small_s, -1.0 / a[(0, 0)]];
+        let model_s = [3.0 * small_s, -1.0 / a[(0, 0)]];
         // (s + 1/Tm)(s + 1/Te) = s^2 + (R + ki)/L s + (Ke + kw) Kt/(L J).
         let to_rate = a[(1, 0)] * b[0];
         let current = (1.0 / model_s[0] + 1.0 / model_s[1] + a[(0, 0)]) / b[0];
@@ -79,10 +68,14 @@ impl Mrac {
             current * scales.current_a,
             0.0,
         ];
+        // Over the initial gain: without identification there is no other bound.
+        let largest = 40.0;
+        let largest_v = largest * gains[0].abs();
         Some(Self {
             integral: gains,
             now: gains,
-            largest_v: SETTINGS.largest * gains[0].abs(),
+            largest_v,
+            unit_v: largest_v / largest,
             scales,
             model_s,
             rate_s: small_s,
@@ -123,12 +116,12 @@ impl Mrac {
         self.last_error = error;
         let filtered = error + self.rate_s * rate;
         let size = 1.0 + signals.iter().map(|x| x * x).sum::<f64>();
-        let unit_v = self.largest_v / SETTINGS.largest;
         for ((gain, now), signal) in self.integral.iter_mut().zip(&mut self.now).zip(signals) {
-            let push = unit_v * filtered * signal / size;
+            let push = self.unit_v * filtered * signal / size;
             let bounded = |gain: f64| gain.clamp(-self.largest_v, self.largest_v);
-            *gain = bounded(*gain + SETTINGS.integral * period_s * push);
-            *now = bounded(*gain + SETTINGS.proportional * push);
+            // g = 6 1/s and p = 0.3.
+            *gain = bounded(*gain + 6.0 * period_s * push);
+            *now = bounded(*gain + 0.3 * push);
         }
     }
 }

@@ -7,79 +7,14 @@
 //! does not fall. The gains are then reduced by steps, where the controller allows it. An oscillation that persists all the
 //! same is not the loop's own: they are restored. A large one that no gain can end, and a reference that the limit keeps out
 //! of reach, end the loop.
+//!
+//! The trials in `speed/tests/watch.rs` of the bench hold the thresholds: no ringing of a second is missed behind a coupling,
+//! and none is reported on a motor that is what its model is.
 
 use std::collections::VecDeque;
 
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
-
-/// Thresholds of the detector. The trials in `speed/tests/watch.rs` of the bench hold them: no ringing of a second is missed
-/// behind a coupling, and none is reported on a motor that is what its model is.
-struct Settings {
-    /// Half-periods of an oscillation, and the longest of them, cycles: a loop's own is a few dead times long.
-    half_periods: usize,
-    longest_half_period: u32,
-    /// Largest amplitude over the least of them.
-    amplitude_ratio: f64,
-    /// Amplitude that is acted against: in standard deviations of a sample, and as a share of the reference.
-    acted_noises: f64,
-    acted_reference_share: f64,
-    /// Amplitude that is reported: of the peaks and of the sine with the same root mean square, in standard deviations of a
-    /// sample (noise in a loop comes near the first, not near the second), and as a share of the last step.
-    reported_noises: f64,
-    reported_rms_noises: f64,
-    reported_step_share: f64,
-    /// Growth since the last report that is reported again.
-    reported_growth: f64,
-    /// Share of the window, after the reference was reached, in which an irregular oscillation is looked for.
-    irregular_share: f64,
-    /// Changes of side within half of the window, beyond this share of the amplitude on either.
-    turns: usize,
-    beyond: f64,
-    /// Amplitude that ends a loop whose gains cannot fall, as a share of the largest reference so far.
-    end_share: f64,
-    /// What each step leaves of the gains, and how many there are: a coupling of 21 Hz with 2 % of damping still oscillates
-    /// with a tenth of them.
-    gain_step: f64,
-    gain_steps: i32,
-    /// Share of the first amplitude from which on an oscillation after all steps is not the loop's own.
-    not_own: f64,
-    /// Later over earlier amplitude above which an oscillation persists, of half-periods and of an irregular one.
-    persists: f64,
-    irregular_persists: f64,
-    /// Length of the window, s and at least in cycles.
-    window_s: f64,
-    fewest_cycles: usize,
-    /// Share of the window at a limit that is saturation, and the share by which the error falls from its first quarter to its
-    /// last where there is progress: a shaft that takes a minute to come up to speed has it.
-    saturated_share: f64,
-    progress: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    half_periods: 6,
-    longest_half_period: 16,
-    amplitude_ratio: 3.0,
-    acted_noises: 10.0,
-    acted_reference_share: 0.02,
-    reported_noises: 8.0,
-    reported_rms_noises: 5.0,
-    reported_step_share: 0.02,
-    reported_growth: 1.5,
-    irregular_share: 0.75,
-    turns: 3,
-    beyond: 0.4,
-    end_share: 0.05,
-    gain_step: 0.7,
-    gain_steps: 8,
-    not_own: 0.7,
-    persists: 0.85,
-    irregular_persists: 0.6,
-    window_s: 1.0,
-    fewest_cycles: 20,
-    saturated_share: 0.8,
-    progress: 0.01,
-};
 
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Finding {
@@ -125,14 +60,15 @@ impl LoopWatch {
             noise_rad_s,
             can_reduce_gain,
             reference_rad_s: f64::NAN,
-            cycles: whole((SETTINGS.window_s / period_s).round()).max(SETTINGS.fewest_cycles),
+            // A window of one second.
+            cycles: whole((1.0 / period_s).round()).max(20),
             ..Self::default()
         }
     }
 
     /// Share of the tuned gains.
     pub fn share(&self) -> f64 {
-        if self.is_restored { 1.0 } else { SETTINGS.gain_step.powi(self.steps) }
+        if self.is_restored { 1.0 } else { 0.7_f64.powi(self.steps) }
     }
 
     /// One cycle; `limited`: the output before it was held by a limit.
@@ -178,14 +114,19 @@ impl LoopWatch {
         self.window.clear();
     }
 
+    /// An amplitude that no noise has and that is this share of a reference, rad/s.
+    fn clear_rad_s(&self, share: f64, reference_rad_s: f64) -> f64 {
+        (10.0 * self.noise_rad_s).max(share * reference_rad_s)
+    }
+
     /// The least amplitude that is acted against, rad/s.
     fn acted_rad_s(&self) -> f64 {
-        let share = SETTINGS.acted_reference_share * self.reference_rad_s.abs();
-        (SETTINGS.acted_noises * self.noise_rad_s).max(share)
+        self.clear_rad_s(0.02, self.reference_rad_s.abs())
     }
 
     fn report(&mut self, amplitude_rad_s: f64) -> Option<Finding> {
-        (amplitude_rad_s > SETTINGS.reported_growth * self.reported_rad_s).then(|| {
+        // Once more where it has grown since.
+        (amplitude_rad_s > 1.5 * self.reported_rad_s).then(|| {
             self.reported_rad_s = amplitude_rad_s;
             Finding::Oscillates { amplitude_rad_s }
         })
@@ -194,21 +135,21 @@ impl LoopWatch {
     fn found(&mut self, amplitude_rad_s: f64) -> Option<Finding> {
         self.restart();
         if self.can_reduce_gain && !self.is_restored {
-            if self.steps < SETTINGS.gain_steps {
+            // A coupling of 21 Hz with 2 % of damping still oscillates with a tenth of the gains: 0.7^8 is 0.06.
+            if self.steps < 8 {
                 if self.steps == 0 {
                     self.first_rad_s = amplitude_rad_s;
                 }
                 self.steps += 1;
                 return Some(Finding::ReduceGain { amplitude_rad_s, share: self.share() });
             }
-            if amplitude_rad_s > SETTINGS.not_own * self.first_rad_s {
+            if amplitude_rad_s > 0.7 * self.first_rad_s {
                 self.is_restored = true;
                 self.reported_rad_s = amplitude_rad_s;
                 return Some(Finding::RestoreGain { amplitude_rad_s });
             }
         }
-        let most_rad_s =
-            (SETTINGS.acted_noises * self.noise_rad_s).max(SETTINGS.end_share * self.largest_rad_s);
+        let most_rad_s = self.clear_rad_s(0.05, self.largest_rad_s);
         if amplitude_rad_s > most_rad_s {
             return Some(Finding::Persists { amplitude_rad_s, most_rad_s });
         }
@@ -219,7 +160,7 @@ impl LoopWatch {
     /// of the errors, where it is not dying away.
     fn irregular(&mut self) -> Option<Finding> {
         self.until_search = self.until_search.saturating_sub(1);
-        let searched = whole(SETTINGS.irregular_share * self.cycles as f64);
+        let searched = whole(0.75 * self.cycles as f64);
         if self.window.len().min(self.arrived) < searched || self.until_search > 0 {
             return None;
         }
@@ -230,12 +171,11 @@ impl LoopWatch {
         let amplitude_rad_s = 0.5 * (high - low);
         let before = extent(errors().take(searched / 2));
         let is_large = |amplitude_rad_s: f64, noises: f64| {
-            let step_rad_s = SETTINGS.reported_step_share * self.last_step_rad_s;
-            amplitude_rad_s >= (noises * self.noise_rad_s).max(step_rad_s)
+            amplitude_rad_s >= (noises * self.noise_rad_s).max(0.02 * self.last_step_rad_s)
         };
-        let is_reported = is_large(amplitude_rad_s, SETTINGS.reported_noises)
-            || is_large(sine_amplitude(last()), SETTINGS.reported_rms_noises);
-        let decays = amplitude_rad_s < SETTINGS.irregular_persists * 0.5 * (before.1 - before.0);
+        // Noise in a loop comes near the first, in its peaks, but not near the second.
+        let is_reported = is_large(amplitude_rad_s, 8.0) || is_large(sine_amplitude(last()), 5.0);
+        let decays = amplitude_rad_s < 0.6 * 0.5 * (before.1 - before.0);
         if !is_reported || decays {
             return None;
         }
@@ -243,15 +183,13 @@ impl LoopWatch {
         let (size, middle) = (0.5 * (high - low), 0.5 * (high + low));
         let mut sides: Vec<(usize, bool)> = errors()
             .enumerate()
-            .filter(|(_, error)| (error - middle).abs() > SETTINGS.beyond * size)
+            .filter(|(_, error)| (error - middle).abs() > 0.4 * size)
             .map(|(cycle, error)| (cycle, error > middle))
             .collect();
         sides.dedup_by_key(|one| one.1);
-        // The first side is no change of side.
+        // Three changes of side within half of the window; the first side is none.
         let turns = sides.get(1..).unwrap_or_default();
-        let quick =
-            |some: &[(usize, bool)]| some[SETTINGS.turns - 1].0 - some[0].0 < self.cycles / 2;
-        if !turns.windows(SETTINGS.turns).any(quick) {
+        if !turns.windows(3).any(|some| some[2].0 - some[0].0 < self.cycles / 2) {
             return None;
         }
         if amplitude_rad_s > self.acted_rad_s() {
@@ -268,7 +206,7 @@ impl LoopWatch {
         }
         let all = || self.window.iter();
         let limited_share = all().filter(|cycle| cycle.1).count() as f64 / self.cycles as f64;
-        if limited_share < SETTINGS.saturated_share {
+        if limited_share < 0.8 {
             return None;
         }
         let quarter = self.cycles / 4;
@@ -276,7 +214,8 @@ impl LoopWatch {
             errors.take(quarter).map(|cycle| cycle.0.abs()).sum::<f64>() / quarter as f64
         };
         let (first, last) = (mean(&mut all()), mean(&mut all().rev()));
-        if last < self.acted_rad_s() || last < (1.0 - SETTINGS.progress) * first {
+        // A shaft that takes a minute to come up to speed makes progress.
+        if last < self.acted_rad_s() || last < 0.99 * first {
             return None;
         }
         if all().zip(all().skip(1)).any(|(one, next)| one.0 * next.0 < 0.0) {
@@ -309,7 +248,7 @@ struct SteadyOscillation {
 #[derive(Clone, Debug, Default)]
 struct HalfPeriods {
     /// Largest errors of the last ones, oldest first.
-    amplitudes: [f64; SETTINGS.half_periods],
+    amplitudes: [f64; 6],
     known: usize,
     /// The present one: its sign, largest error and cycles.
     sign: f64,
@@ -321,7 +260,8 @@ impl HalfPeriods {
     /// One error. At the end of a half-period the last ones, where they are alike.
     fn push(&mut self, error: f64) -> Option<SteadyOscillation> {
         self.cycles += 1;
-        if self.cycles > SETTINGS.longest_half_period {
+        // A loop's own oscillation has half-periods of a few dead times.
+        if self.cycles > 16 {
             *self = Self::default();
         }
         if error * self.sign >= 0.0 {
@@ -331,7 +271,7 @@ impl HalfPeriods {
             }
             return None;
         }
-        let count = SETTINGS.half_periods;
+        let count = self.amplitudes.len();
         self.amplitudes.rotate_left(1);
         self.amplitudes[count - 1] = self.largest;
         self.known = (self.known + 1).min(count);
@@ -342,9 +282,9 @@ impl HalfPeriods {
         let alike = SteadyOscillation {
             mean_rad_s: (earlier + later) / count as f64,
             least_rad_s,
-            persists: later > SETTINGS.persists * earlier,
+            persists: later > 0.85 * earlier,
         };
-        (self.known == count && most < SETTINGS.amplitude_ratio * least_rad_s).then_some(alike)
+        (self.known == count && most < 3.0 * least_rad_s).then_some(alike)
     }
 }
 

@@ -5,9 +5,6 @@ use std::cell::RefCell;
 use super::{Draws, is_safe};
 use crate::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains};
 
-/// Draws with the least margins that are kept.
-const HARDEST: usize = 8;
-
 /// A loop and, where its coupling has backlash, that of the motor alone within it, which only has to be stable.
 struct ClosedLoop {
     coupled: LoopShape,
@@ -90,14 +87,14 @@ impl Loops {
         })?;
         let stable = all.iter().filter(|margins| margins.radius < 1.0).count();
         let mut hardest: Vec<usize> = (0..all.len()).collect();
-        // Half of them with the least phase margin, half with the least gain margin.
+        // Eight are kept, half of them with the least phase margin, half with the least gain margin.
         let least = |of: fn(&Margins) -> f64, order: &mut [usize]| {
             order.sort_by(|one, other| of(&all[*one]).total_cmp(&of(&all[*other])));
         };
         least(|margins| margins.phase_margin_deg, &mut hardest);
-        let by_phase = HARDEST.div_ceil(2).min(hardest.len());
+        let by_phase = hardest.len().min(4);
         least(|margins| margins.gain_margin, &mut hardest[by_phase..]);
-        hardest.truncate(HARDEST);
+        hardest.truncate(8);
         Some(Draws {
             count: all.len(),
             worst,

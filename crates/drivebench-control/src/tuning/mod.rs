@@ -20,42 +20,8 @@ use super::response::{Response, response};
 use super::{LinearPlant, LoopShape, LoopTiming, Margins, Notch, PiGains, StepPoint};
 use drivebench_model::numerics::count;
 
-struct Settings {
-    /// Least margins of a loop.
-    phase_margin_deg: f64,
-    gain_margin: f64,
-    /// Factor by which the small time constant of a rule without these margins grows step by step, and its end.
-    slower_by: f64,
-    slowest: f64,
-    /// Notches that are tried: damping of their poles, and depth.
-    notch_dampings: [f64; 5],
-    notch_depths: [f64; 2],
-    /// Bandwidth with a notch over that without from which on it is used.
-    worth_a_notch: f64,
-    /// Least Kp of a motor with complex poles, as Tn in dead times: the regulator keeps its form.
-    least_proportional: f64,
-    /// Pole placement: damping, and natural frequency times small time constant, at which the neglected small time constant
-    /// leaves that damping.
-    damping: f64,
-    frequency_times_small: f64,
-    /// Symmetrical optimum: square root of Tn over the small time constant. Kessler's 2 has a phase margin of 37 degrees on a
-    /// pure integrator; the reference's filter takes the overshoot that comes from the zero.
-    a: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    phase_margin_deg: 40.0,
-    gain_margin: 1.8,
-    slower_by: 1.1,
-    slowest: 30.0,
-    notch_dampings: [0.1, 0.2, 0.35, 0.6, 1.0],
-    notch_depths: [0.1, 0.3],
-    worth_a_notch: 1.05,
-    least_proportional: 0.5,
-    damping: 0.9,
-    frequency_times_small: 0.35,
-    a: 2.4,
-};
+/// Least phase margin, degrees, and gain margin of a loop.
+const LEAST_MARGINS: (f64, f64) = (40.0, 1.8);
 
 /// How gains follow from a plant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -185,7 +151,7 @@ pub enum TuningError {
     #[error("bandwidth {0} rad/s is not a positive number")]
     NoBandwidth(f64),
     #[error(
-        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2}{} (needed: {} degrees and {})", of_draws(*draws), SETTINGS.phase_margin_deg, SETTINGS.gain_margin
+        "{rule}: the loop would have {phase_margin_deg:.0} degrees of phase and a gain margin of {gain_margin:.2}{} (needed: {} degrees and {})", of_draws(*draws), LEAST_MARGINS.0, LEAST_MARGINS.1
     )]
     Margins {
         rule: &'static str,
@@ -364,8 +330,8 @@ impl Task<'_> {
         let reached =
             frequency_hz.filter(|hertz| Notch::is_realisable(*hertz, self.timing.period_s));
         reached.into_iter().flat_map(|frequency_hz| {
-            SETTINGS.notch_dampings.into_iter().flat_map(move |damping_ratio| {
-                SETTINGS.notch_depths.map(|depth| Notch { frequency_hz, damping_ratio, depth })
+            [0.1, 0.2, 0.35, 0.6, 1.0].into_iter().flat_map(move |damping_ratio| {
+                [0.1, 0.3].map(|depth| Notch { frequency_hz, damping_ratio, depth })
             })
         })
     }
@@ -413,8 +379,9 @@ impl Task<'_> {
                 }
             }
         }
+        // Less bandwidth than 5 % more is not worth a notch.
         match best {
-            Some((reached_hz, notch, mut found)) if reached_hz > SETTINGS.worth_a_notch * before_hz => {
+            Some((reached_hz, notch, mut found)) if reached_hz > 1.05 * before_hz => {
                 let without = if before_hz > 0.0 {
                     format!("without it {before_hz:.1} Hz")
                 } else {
@@ -432,9 +399,8 @@ impl Task<'_> {
                 let with = best.map_or_else(
                     || "no notch there helps".to_owned(),
                     |(reached_hz, ..)| {
-                        let least = 100.0 * (SETTINGS.worth_a_notch - 1.0);
                         format!(
-                            "a notch there would give {reached_hz:.1} Hz, and below {least:.0} % more it is not worth one"
+                            "a notch there would give {reached_hz:.1} Hz, and below 5 % more it is not worth one"
                         )
                     },
                 );
@@ -472,7 +438,7 @@ impl Task<'_> {
         let mut slower = 1.0;
         loop {
             let mut found = self.by_rule(slower)?;
-            if self.holds(&found) || slower > SETTINGS.slowest {
+            if self.holds(&found) || slower > 30.0 {
                 found.is_the_rules_own = slower <= 1.0;
                 if slower > 1.0 {
                     let behind = self.plant.coupling().map_or_else(String::new, |coupling| {
@@ -480,14 +446,14 @@ impl Task<'_> {
                     });
                     found.reasons.push(format!(
                         "the rule alone left less than {} degrees or a gain margin below {}{behind}{}: its small time constant is taken {slower:.2} times as large",
-                        SETTINGS.phase_margin_deg,
-                        SETTINGS.gain_margin,
+                        LEAST_MARGINS.0,
+                        LEAST_MARGINS.1,
                         of_draws(self.loops.count())
                     ));
                 }
                 return Ok(found);
             }
-            slower *= SETTINGS.slower_by;
+            slower *= 1.1;
         }
     }
 
@@ -556,7 +522,8 @@ impl Task<'_> {
         let c3 = (product * late + sum * late * late / 2.0 + late.powi(3) / 6.0) / gain;
         let integral = (c1 * c1 - c0 * c2) / (2.0 * (c1 * c2 / c0 - c3)) / slower;
         let best = integral * c1 / c0 - 0.5 * c0;
-        let proportional = best.max(SETTINGS.least_proportional * integral * late);
+        // At least a Tn of half a dead time: the regulator keeps its form.
+        let proportional = best.max(0.5 * integral * late);
         let integral_time_s = proportional / integral;
         let reason = format!(
             "modulus optimum for a motor with complex poles (TM below four times Ta): Kp = {proportional:.4}, Tn = {integral_time_s:.4} s from the series of the whole plant"
@@ -577,10 +544,17 @@ impl Task<'_> {
             (self.plant.gain().unwrap_or(1.0) / sum, 1.0 / sum, product / sum)
         };
         let small_time_s = slower * (small_s + self.lag_s());
-        let Settings { damping, frequency_times_small, .. } = SETTINGS;
+        // At this frequency the neglected small time constant leaves that damping.
+        let (damping, frequency_times_small) = (0.9, 0.35);
         let natural = frequency_times_small / small_time_s;
         if decay > damping * natural {
-            return quick_motor(rate, decay, natural, small_time_s);
+            // A quicker motor would need a negative gain: Tn cancels its pole, and one pole is placed.
+            let (proportional, integral_time_s) = (natural / rate, 1.0 / decay);
+            let reason = format!(
+                "pole placement for a motor that is quicker than the loop: Tn = {integral_time_s:.4} s cancels its pole, Kp = {proportional:.4} places one at {natural:.3} rad/s ({frequency_times_small} over the small time constant of {:.2} ms)",
+                1e3 * small_time_s
+            );
+            return Found::new([proportional, integral_time_s, 0.0], small_time_s, reason);
         }
         let integral = natural * natural / rate;
         let proportional = (2.0 * damping * natural - decay) / rate;
@@ -594,7 +568,9 @@ impl Task<'_> {
 
     /// Symmetrical optimum (Kessler 1958): the phase margin is largest where the gain is one, for a plant that integrates.
     fn symmetrical_optimum(&self, slower: f64) -> Result<Found, TuningError> {
-        let a = SETTINGS.a;
+        // Square root of Tn over the small time constant. Kessler's 2 has a phase margin of 37 degrees on a pure integrator; the
+        // reference's filter takes the overshoot that comes from the zero.
+        let a = 2.4_f64;
         let integrating = self.plant.dominant().filter(|dominant| {
             let integral_time_s = a * a * (dominant.small_s + self.lag_s());
             dominant.large_s.is_none_or(|large_s| large_s > integral_time_s)
@@ -618,17 +594,6 @@ impl Task<'_> {
     }
 }
 
-/// A motor that is quicker than the loop would need a negative gain: Tn cancels its pole, and one pole is placed.
-fn quick_motor(rate: f64, decay: f64, natural: f64, small_time_s: f64) -> Found {
-    let (proportional, integral_time_s) = (natural / rate, 1.0 / decay);
-    let reason = format!(
-        "pole placement for a motor that is quicker than the loop: Tn = {integral_time_s:.4} s cancels its pole, Kp = {proportional:.4} places one at {natural:.3} rad/s ({} over the small time constant of {:.2} ms)",
-        SETTINGS.frequency_times_small,
-        1e3 * small_time_s
-    );
-    Found::new([proportional, integral_time_s, 0.0], small_time_s, reason)
-}
-
 /// Bisection of a factor on a logarithmic scale.
 fn bisected(
     mut low: f64,
@@ -648,8 +613,8 @@ fn bisected(
 
 fn is_safe(margins: &Margins) -> bool {
     margins.radius < 1.0
-        && margins.phase_margin_deg >= SETTINGS.phase_margin_deg
-        && margins.gain_margin >= SETTINGS.gain_margin
+        && margins.phase_margin_deg >= LEAST_MARGINS.0
+        && margins.gain_margin >= LEAST_MARGINS.1
 }
 
 #[cfg(test)]
