@@ -6,8 +6,6 @@ use crate::signal::Point;
 
 /// Samples on either side of a step through which a line is laid; half of them are enough.
 const LINE_SAMPLES: usize = 8;
-/// Fewest steps of the current that give a lag.
-const LEAST_STEPS: usize = 6;
 /// Longest lag that is searched, in samples: a later line would begin within the change itself.
 const LONGEST_LAG: usize = 3;
 
@@ -73,7 +71,7 @@ pub(super) fn lag_s(run: &Run, steps: &[Point]) -> f64 {
     };
     let mut found: Vec<(f64, f64)> =
         ends.windows(3).zip(steps.iter().skip(1)).filter_map(kink).collect();
-    if found.len() < LEAST_STEPS {
+    if found.len() < 6 {
         return 0.0;
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));

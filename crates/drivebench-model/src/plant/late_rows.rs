@@ -6,17 +6,14 @@
 use crate::numerics::statistics::{finite, median, median_step};
 use crate::sample::{Channel, Run};
 
-/// Half-width of the stamp of such a row, in periods, and in usual half-widths.
-const LATE_PERIODS: f64 = 0.1;
-const LATE_RATIO: f64 = 3.0;
-
 /// The run without the speeds of these rows; `None` where there are none.
 pub(super) fn left_out(run: &Run) -> Option<Run> {
     let (widths, speed) = (run.column(Channel::TimeHalfWidth)?, run.column(Channel::Speed)?);
     let times: Vec<f64> = run.points(Channel::Speed).map(|point| point.0).collect();
     let read: Vec<f64> =
         widths.iter().zip(speed).filter(|row| row.1.is_finite()).map(|row| row.0.abs()).collect();
-    let least_s = (LATE_PERIODS * median_step(&times)).max(LATE_RATIO * median(&finite(&read)));
+    // A tenth of a period and three usual half-widths.
+    let least_s = (0.1 * median_step(&times)).max(3.0 * median(&finite(&read)));
     let is_late = |row: &usize| widths[*row].abs() > least_s && speed[*row].is_finite();
     let late: Vec<usize> = (0..speed.len()).filter(is_late).collect();
     if late.is_empty() {

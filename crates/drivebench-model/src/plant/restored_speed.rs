@@ -11,15 +11,6 @@ use crate::numerics::statistics::{largest, median_step};
 use crate::sample::{Channel, Run, Sensors, SpeedLag};
 use crate::signal::{self, Point};
 
-struct Settings {
-    /// Allowed difference to the slope of the angle, as a share of the largest speed.
-    difference: f64,
-    /// Samples on either side over which the speed is compared with the slope of the angle.
-    compared: usize,
-}
-
-const SETTINGS: Settings = Settings { difference: 0.02, compared: 2 };
-
 /// Intervals between readings, in periods, over which no balance may extend.
 pub(super) const LONGEST_PERIODS: f64 = 1.5;
 
@@ -62,7 +53,7 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
     let lost = match run.column(Channel::Angle) {
         Some(angle) => {
             let angle: Vec<f64> = rows.iter().map(|row| angle[*row]).collect();
-            differs_from_angle(&inverse, &angle, SETTINGS.difference * fastest)
+            differs_from_angle(&inverse, &angle, 0.02 * fastest)
         }
         // A filter of less than two periods is restored within a sample.
         None if lag.filter_s > 2.0 * period_s => near_reversals(&speed, lag.filter_s),
@@ -94,12 +85,12 @@ pub(super) fn restored(run: &Run) -> Option<Restored> {
     Some(Restored { run: without, rounding_rad_s, gaps_s })
 }
 
-/// Samples within a window whose mean speed is another than the slope of the angle by more than `most` and by more than a count.
+/// Samples within a window of five whose mean speed is another than the slope of the angle by more than `most` and by more than a count.
 fn differs_from_angle(speed: &[Point], angle: &[f64], most: f64) -> Vec<bool> {
     let count = smallest_step(angle);
     let mut differs = vec![false; speed.len()];
-    for (first, window) in speed.windows(2 * SETTINGS.compared + 1).enumerate() {
-        let end = first + 2 * SETTINGS.compared;
+    for (first, window) in speed.windows(5).enumerate() {
+        let end = first + 4;
         let seconds = speed[end].0 - speed[first].0;
         let areas =
             window.windows(2).map(|pair| 0.5 * (pair[1].0 - pair[0].0) * (pair[0].1 + pair[1].1));

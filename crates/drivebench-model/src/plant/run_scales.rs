@@ -61,13 +61,6 @@ pub const REVERSAL_SHARE: f64 = 0.015;
 /// Samples of an interval of the regression for the time of response: the noise of a speed that is the difference of counts is
 /// then small against the change of the speed.
 const INTERVAL_SAMPLES: usize = 8;
-const FEWEST_INTERVALS: usize = 100;
-/// With a torque as the input the noise is averaged over what the motion allows: the time of response is the geometric mean of ten
-/// sampling periods and of the speed over its rate, of a motor in steps of the voltage 2.4 times its time constant.
-const DRIVEN_PERIODS: f64 = 10.0;
-const DRIVEN_RATE: f64 = 2.4;
-/// Least share of a column of that regression that the others do not explain.
-const LEAST_TOLERANCE: f64 = 1e-6;
 
 impl RunScales {
     /// The run to which the ranges of the catalogue refer: the motor of paper A at 110 V in steps.
@@ -196,7 +189,7 @@ fn intervals(scenario: &Scenario, most: [f64; 2]) -> Vec<Interval> {
         }
     };
     // Those of a short record overlap.
-    let stride = (rows.len() / FEWEST_INTERVALS).clamp(1, INTERVAL_SAMPLES);
+    let stride = (rows.len() / 100).clamp(1, INTERVAL_SAMPLES);
     rows.windows(INTERVAL_SAMPLES + 1).step_by(stride).map(interval).collect()
 }
 
@@ -205,7 +198,7 @@ fn fit<const N: usize>(
     row: impl Fn(&Interval) -> ([f64; N], f64),
 ) -> Option<[f64; N]> {
     let rows: Vec<_> = intervals.iter().map(row).collect();
-    fit_normal(&rows, LEAST_TOLERANCE).map(|fit| fit.x)
+    fit_normal(&rows, 1e-6).map(|fit| fit.x)
 }
 
 /// Mechanical time constant `R J / (Ke Kt)` by least squares over intervals; without a current that of `dw/dt = a u - b w - c sgn(w)`;
@@ -234,8 +227,10 @@ fn response_s(
             intervals.iter().map(|own| of(own) / own.length).collect()
         };
         let [rates, speeds] = [means(|own| own.speed_change), means(|own| own.speed)];
-        let of_motion = DRIVEN_RATE * (variance(&rates) / variance(&speeds)).sqrt();
-        (of_motion / DRIVEN_PERIODS).sqrt()
+        // The noise is averaged over what the motion allows: the time of response is the geometric mean of ten sampling periods and
+        // of the speed over its rate, of a motor in steps of the voltage 2.4 times its time constant.
+        let of_motion = 2.4 * (variance(&rates) / variance(&speeds)).sqrt();
+        (of_motion / 10.0).sqrt()
     };
     (rate > 0.0).then(|| mean_step(&scenario.sample_time_s) / rate)
 }

@@ -16,20 +16,6 @@ use super::unknown_input::{Rows, UnknownInput};
 use crate::numerics::least_squares::fit_normal;
 use crate::numerics::statistics::{extent, largest, mean, median};
 
-/// Smaller changes, as a share of the range of the voltage, are the last digit of a reading.
-const SMALL_CHANGE: f64 = 0.01;
-/// Share of the largest current below which a drop of voltage may not have reached its level.
-const SMALL_CURRENT: f64 = 0.1;
-/// Fewest changes that decide.
-const FEWEST_CHANGES: usize = 10;
-/// Least mean response of the current at a change, as a share of that after a whole period: at least a half in a sampled record,
-/// none in one with instants.
-const LEAST_RESPONSE: f64 = 0.25;
-/// Least scatter of these shares: 0.07 to 0.29 where L/R is a hundredth of a period or longer, none where each change comes
-/// equally late.
-const LEAST_SCATTER: f64 = 0.05;
-/// Error of the predicted response to a change, as a share of that after a whole period.
-const FORM_ERROR: f64 = 0.05;
 /// Places within an interval.
 const PLACES: usize = 64;
 
@@ -46,8 +32,9 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<Edge> {
     let steps: Vec<f64> = input.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
     let period_s = median(&steps);
     let (least_v, most_v) = extent(input.iter().map(|event| event.1));
-    let small_v = SMALL_CHANGE * (most_v - least_v);
-    let small_a = SMALL_CURRENT * largest(record.measured.iter().map(|row| row[0]));
+    // The last digit of a reading, and a current below which a drop of voltage may not have reached its level.
+    let small_v = 0.01 * (most_v - least_v);
+    let small_a = 0.1 * largest(record.measured.iter().map(|row| row[0]));
     let all = (1..input.len()).map(|row| Interval::of(record, row, small_a));
     let (mut held, mut changes): (Vec<Interval>, Vec<Interval>) =
         all.filter(Interval::is_measured).partition(|own| own.change_v.abs() <= small_v);
@@ -188,9 +175,11 @@ impl Winding {
         let response = sum(&|own| own.change_v * self.beyond_a(own)) / squares_v2;
         let scatter_a2 = sum(&|own| (self.beyond_a(own) - response * own.change_v).powi(2));
         let more_a2 = scatter_a2 - changes.len() as f64 * self.error_a2;
-        changes.len() >= FEWEST_CHANGES
-            && response >= LEAST_RESPONSE * self.response_a
-            && more_a2 >= squares_v2 * (LEAST_SCATTER * self.response_a).powi(2)
+        // As shares of the response after a whole period: the mean is at least a half in a sampled record and none in one with
+        // instants; the scatter is 0.07 to 0.29 where L/R is a hundredth of a period or longer, none where each change is equally late.
+        changes.len() >= 10
+            && response >= 0.25 * self.response_a
+            && more_a2 >= squares_v2 * (0.05 * self.response_a).powi(2)
     }
 
     /// Log likelihood, and first and second moment of the share of the interval for which the new voltage has acted.
@@ -199,7 +188,8 @@ impl Winding {
         // A drop changes its sign with the current, soon after the voltage does; below its level it is not known.
         let turned = self.drop_v * (end_a.signum() - begin_a.signum());
         let drop_a = if own.is_level { 0.0 } else { self.response_a * self.drop_v };
-        let form_a = FORM_ERROR * self.response_a * own.change_v;
+        // Error of the form of the predicted response.
+        let form_a = 0.05 * self.response_a * own.change_v;
         let variance = error_a2 + drop_a * drop_a + form_a * form_a;
         let beyond_a = self.beyond_a(own);
         let places: [(f64, f64); PLACES] = std::array::from_fn(|place| {

@@ -35,11 +35,6 @@ use crate::numerics::statistics::largest;
 
 /// Longest sub-step with effects, in times of response: resolves voltage drops at current reversals and Stribeck friction at reversals.
 const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
-/// Angle of the shaft in a sub-step with effects of the angle, rad: a fourteenth of the period of six teeth.
-const LONGEST_TURN_RAD: f64 = 0.3;
-/// Sub-steps between two samples that are enough whatever the time of response is: with 10 and 20 the sizes found on the records of a
-/// servo at 100 Hz, whose current settles in a hundredth of a period, are the same within 1 %.
-const MOST_STEPS_A_SAMPLE: f64 = 10.0;
 
 /// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -103,9 +98,12 @@ fn longest_step_s(equations: &Equations, scales: &RunScales) -> f64 {
     };
     let mut step_s = scales.responses(responses);
     if equations.needs_angle {
-        step_s = step_s.min(LONGEST_TURN_RAD / scales.speed_rad_s);
+        // 0.3 rad are a fourteenth of the period of six teeth.
+        step_s = step_s.min(0.3 / scales.speed_rad_s);
     }
-    step_s = step_s.max(scales.period_s / MOST_STEPS_A_SAMPLE);
+    // Ten between two samples are enough: with 20 the sizes found on the records of a servo at 100 Hz, whose current settles in a
+    // hundredth of a period, are the same within 1 %.
+    step_s = step_s.max(scales.period_s / 10.0);
     // Twenty sub-steps in a period of an oscillating load. Halved as often as needed: steps that followed its frequency in a fit
     // would make the cost jump.
     let most_s = equations.coupling.map_or(f64::INFINITY, |coupling| 0.05 / coupling.frequency_hz);
