@@ -214,9 +214,6 @@ pub(super) fn as_ratio(found: ParameterEstimate) -> ParameterEstimate {
     ParameterEstimate::not_observable(&found.key, found.unit, code, reason)
 }
 
-/// Least share of the energy that flows from the load to the motor: less is the noise about a reversal.
-const LEAST_BRAKING_SHARE: f64 = 0.03;
-
 /// Whether the motor both drives its load and is driven by it, from the energy of each interval, J. With friction `m |T| sgn(w)` the
 /// balance is `T = X / (1 - m)` while it drives and `T = X / (1 + m)` while it brakes, `X` being all other torques: one of the two
 /// alone does not determine m.
@@ -225,7 +222,8 @@ pub fn has_both_power_flows(energies_j: impl Iterator<Item = f64>) -> bool {
     let (driving, braking) = known.fold((0.0, 0.0), |(driving, braking), energy_j| {
         (driving + energy_j.max(0.0), braking - energy_j.min(0.0))
     });
-    braking > LEAST_BRAKING_SHARE * (driving + braking)
+    // Less is the noise about a reversal.
+    braking > 0.03 * (driving + braking)
 }
 
 /// Method by which the derivative in the torque balance is avoided or estimated.

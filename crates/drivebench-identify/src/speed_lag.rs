@@ -16,29 +16,6 @@ use drivebench_model::sample::{Channel, Run, Sensors, SpeedLag};
 use crate::noise::NoiseFloor;
 use crate::{output_error, start};
 
-struct Settings {
-    /// Samples of one row of the regression: over more, an error of the speed's scale grows; over fewer, the last count of the angle
-    /// does.
-    samples: usize,
-    /// Share of the largest speed that every sample of a row has: near standstill friction bends the speed within a sample, and an
-    /// observer follows another law.
-    least_speed: f64,
-    /// Fewest rows: a run of some seconds.
-    least_rows: usize,
-    /// A lag of so many standard deviations is one.
-    least_sigmas: f64,
-    /// Shortest lag, in sampling periods: shorter ones are errors of the stamps, which every fit takes into account.
-    least_periods: f64,
-}
-
-const SETTINGS: Settings = Settings {
-    samples: 10,
-    least_speed: 0.1,
-    least_rows: 30,
-    least_sigmas: 5.0,
-    least_periods: 0.1,
-};
-
 /// A lag, zero where none is significant, and the standard deviation of its total.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FoundLag {
@@ -48,7 +25,8 @@ pub struct FoundLag {
 
 /// The lag of the speed; `None` where the run has no angle of its own, or does not determine the lag.
 pub fn by_angle(run: &Run) -> Option<FoundLag> {
-    let samples = SETTINGS.samples;
+    // Of one row: over more, an error of the speed's scale grows; over fewer, the last count of the angle does.
+    let samples = 10;
     let column = |channel| run.column(channel);
     let (speeds, angles) = (column(Channel::Speed)?, column(Channel::Angle)?);
     let times = run.time_s();
@@ -58,7 +36,8 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
     let period_s = median_step(&at);
     let speed: Vec<f64> = rows.iter().map(|row| speeds[*row]).collect();
     let angle: Vec<f64> = rows.iter().map(|row| angles[*row]).collect();
-    let least_rad_s = SETTINGS.least_speed * largest(speed.iter().copied());
+    // Near standstill friction bends the speed within a sample, and an observer follows another law.
+    let least_rad_s = 0.1 * largest(speed.iter().copied());
     let is_row = |first: &usize| {
         let steps = at[*first - 1..=*first + samples + 1].windows(2);
         let is_regular = steps.map(|pair| pair[1] - pair[0]).all(|step_s| step_s < 1.5 * period_s);
@@ -80,7 +59,8 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
     };
     let last = at.len().checked_sub(samples + 1)?;
     let rows: Vec<([f64; 3], f64)> = (1..last).step_by(samples).filter(is_row).map(row).collect();
-    if rows.len() < SETTINGS.least_rows {
+    // A run of some seconds.
+    if rows.len() < 30 {
         return None;
     }
     let fit = fit_normal(&rows, 1e-4)?;
@@ -91,7 +71,8 @@ pub fn by_angle(run: &Run) -> Option<FoundLag> {
     if total_s.abs() > most_s || std_s > 0.1 * most_s {
         return None;
     }
-    if total_s < (SETTINGS.least_sigmas * std_s).max(SETTINGS.least_periods * period_s) {
+    // Shorter ones are errors of the stamps, which every fit takes into account.
+    if total_s < (5.0 * std_s).max(0.1 * period_s) {
         return Some(FoundLag { lag: SpeedLag::default(), std_s });
     }
     let variance_s2 = (total_s * total_s - 2.0 * curvature).clamp(0.0, total_s * total_s);

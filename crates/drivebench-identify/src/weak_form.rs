@@ -35,8 +35,7 @@ use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
 
 struct Settings {
-    /// Half lengths of the windows of both balances, in times of response.
-    voltage_half_responses: f64,
+    /// Half length of the windows of the torque balance, in times of response.
     torque_half_responses: f64,
     /// Fewest samples of a half window.
     fewest_half: usize,
@@ -47,7 +46,6 @@ struct Settings {
 }
 
 const SETTINGS: Settings = Settings {
-    voltage_half_responses: 0.3,
     torque_half_responses: 0.75,
     fewest_half: 4,
     sampling_order: 1.5,
@@ -441,7 +439,7 @@ fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     let period_s = statistics::mean_step(&scenario.sample_time_s);
     // The armature circuit is faster than the shaft.
     let responses = match equation {
-        Balance::Voltage => SETTINGS.voltage_half_responses,
+        Balance::Voltage => 0.3,
         Balance::Torque => SETTINGS.torque_half_responses,
     };
     let half_s = scenario.scales.responses(responses);

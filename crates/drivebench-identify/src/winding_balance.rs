@@ -10,13 +10,6 @@ use drivebench_model::numerics::statistics::{largest, median_step};
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason};
 
-/// Periods after a step of the current from which its transient is over: a current loop settles within milliseconds.
-const SETTLED_PERIODS: f64 = 1.5;
-/// Share of the largest current below which the drive may have released the motor, whose terminals it then does not hold.
-const RELEASED: f64 = 0.05;
-/// Fewest rows for each unknown.
-const ROWS_AN_UNKNOWN: usize = 20;
-
 /// The fitted balance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Winding {
@@ -54,7 +47,8 @@ struct Rows {
 fn rows_of(scenario: &Scenario) -> Rows {
     let times = &scenario.sample_time_s;
     let period_s = median_step(times);
-    let least_a = RELEASED * largest(scenario.events.iter().map(|event| event.1));
+    // Below, the drive may have released the motor, whose terminals it then does not hold.
+    let least_a = 0.05 * largest(scenario.events.iter().map(|event| event.1));
     let steps_s = &scenario.current_steps_s;
     let (mut cells, mut steps, mut rates) = (Vec::new(), Vec::new(), Vec::new());
     // Over some samples on either side, where the current is constant as well.
@@ -71,8 +65,8 @@ fn rows_of(scenario: &Scenario) -> Rows {
         let from_s = step.checked_sub(1).map_or(f64::NEG_INFINITY, |step| steps_s[step]);
         // The next step shows in the voltage before it shows in the speed.
         let until_s = steps_s.get(step).copied().unwrap_or(f64::INFINITY);
-        let is_settled =
-            time_s - from_s > SETTLED_PERIODS * period_s && until_s - time_s > period_s;
+        // A current loop settles within milliseconds.
+        let is_settled = time_s - from_s > 1.5 * period_s && until_s - time_s > period_s;
         let is_whole = volts.is_finite() && speed_rad_s.is_finite();
         if is_settled && is_whole && amperes.abs() > least_a {
             cells.push([amperes, speed_rad_s, amperes.signum(), *volts]);
@@ -87,7 +81,8 @@ fn rows_of(scenario: &Scenario) -> Rows {
 pub fn fit(model: &Model, scenario: &Scenario) -> Option<Winding> {
     let Rows { cells: rows, steps, rates } = rows_of(scenario);
     let period_s = median_step(&scenario.sample_time_s);
-    if rows.len() < 3 * ROWS_AN_UNKNOWN {
+    // Twenty for each unknown.
+    if rows.len() < 60 {
         return None;
     }
     let matrix = DMatrix::from_fn(rows.len(), 3, |row, column| rows[row][column]);

@@ -66,9 +66,9 @@ impl Plate {
         self.back_emf_v_s_per_rad * current_a.abs()
     }
 
-    /// A current that turns a free shaft, whatever its friction is, A.
+    /// A current that turns a free shaft, whatever its friction is, beyond that of the nameplate, A.
     pub fn turning_a(&self) -> f64 {
-        Settings::STANDING_FRICTION * self.friction_n_m / self.back_emf_v_s_per_rad
+        1.7 * self.friction_n_m / self.back_emf_v_s_per_rad
     }
 
     /// Voltage of the winding in a row, V.

@@ -65,9 +65,8 @@ pub struct Factor {
 impl Factor {
     pub fn new(scale: Scale) -> Self {
         let drop = (0.0, 0.5 * Settings::DROP * scale.volts);
-        let [unknown, flux, friction] =
-            [Settings::UNKNOWN_STD, Settings::FLUX_STD, Settings::FRICTION_STD]
-                .map(|std| (1.0, std));
+        // Factors of one, with their prior standard deviations.
+        let [unknown, flux, friction] = [10.0, 0.5, 1.0].map(|std| (1.0, std));
         Self {
             voltage: NormalEquations::new([unknown, flux, drop]),
             torque: NormalEquations::new([unknown, friction]),
@@ -86,18 +85,18 @@ impl Factor {
         if !(is_signed || is_driven) {
             return None;
         }
-        let memory_s = Settings::MEMORY_S.max(Settings::MEMORY_ROWS * row.seconds);
+        let memory_s = f64::max(0.25, 10.0 * row.seconds);
         let forgetting = (-row.seconds / memory_s).exp();
         let speed_v = plate.back_emf_v_s_per_rad * row.speed_rad_s;
         let (current_by, speed_by) = plate.uncertainty_v(row);
-        let floor_v = (Settings::VOLTAGE_NOISE * self.scale.volts).hypot(0.5 * volts.width());
+        let floor_v = (0.005 * self.scale.volts).hypot(0.5 * volts.width());
         let noise = floor_v.hypot(current_by + speed_by);
         let factors = [sign * plate.current_v(row), speed_v, sign * row.current_a.signum()];
         self.voltage.add(forgetting, factors, volts.middle(), noise);
         if row.speed_rad_s.abs() > Settings::REST * self.scale.rad_s {
             let acceleration = plate.inertia_kg_m2 * row.speed_change_rad_s / row.seconds;
             let friction = plate.friction_n_m * row.speed_rad_s.signum();
-            let floor = Settings::TORQUE_NOISE * plate.torque_n_m(self.scale.amps);
+            let floor = 0.05 * plate.torque_n_m(self.scale.amps);
             let noise = floor.hypot(plate.mechanical_error(row.seconds) * acceleration);
             let torque = sign * plate.back_emf_v_s_per_rad * row.current_a;
             self.torque.add(forgetting, [acceleration, friction], torque, noise);

@@ -58,13 +58,13 @@ impl Repeats {
 
     /// Share of repeats at rest by Laplace's rule of succession, once it is known.
     fn share(&self) -> Option<f64> {
-        let known = self.rest >= Settings::REST_READINGS && self.rest_same < self.rest;
+        let known = self.rest >= 3 && self.rest_same < self.rest;
         known.then(|| (self.rest_same + 1) as f64 / (self.rest + 2) as f64)
     }
 
     /// Least length of a run that is not by chance; `None`: no noise at rest.
     pub fn needed(&self) -> Option<f64> {
-        let by_chance = Settings::REPEAT_CHANCE.ln() / self.share()?.ln();
+        let by_chance = 1e-9_f64.ln() / self.share()?.ln();
         let fewest = Settings::FEWEST_REPEATS.max(3 * self.rest_longest);
         Some(by_chance.max(fewest as f64))
     }
@@ -75,9 +75,9 @@ impl Repeats {
         enough && self.moving_run >= Settings::FEWEST_REPEATS
     }
 
-    /// As `is_stuck`, of a sensor with noise of its own.
+    /// As `is_stuck`, of a sensor with electrical noise: one that only follows the vibration of a shaft repeats more often at rest.
     pub fn is_silent(&self) -> bool {
-        self.is_stuck() && self.share().is_some_and(|share| share <= Settings::SELDOM_REPEATS)
+        self.is_stuck() && self.share().is_some_and(|share| share <= 0.35)
     }
 }
 

@@ -54,30 +54,14 @@ impl Settings {
     pub const DRIVEN_S: f64 = 0.4;
     /// From this share of the rated current, or of its own limit, on a drive may limit without reporting it.
     pub const LIMITING_CURRENT: f64 = 0.85;
-    /// Duration of a standstill, s, under a current that exceeds that of the nameplate's friction by this factor.
+    /// Duration of a standstill under a current that turns a free shaft, s.
     pub const STANDING_S: f64 = 0.5;
-    pub const STANDING_FRICTION: f64 = 1.7;
     /// Readings equal to the bit while the back-EMF changes, and cycles of a runaway: three may be chance or latency.
     pub const REPEATED: usize = 4;
-    /// Memory of the regression over both balances: time constant, s, and least rows.
-    pub const MEMORY_S: f64 = 0.25;
-    pub const MEMORY_ROWS: f64 = 10.0;
     /// Half-width of the interval of an estimate, in standard deviations.
     pub const SIGMAS: f64 = 3.0;
     /// Standard deviations at rest beyond which something moves or flows: the largest of many samples of noise lies below.
     pub const CLEAR_STD: f64 = 6.0;
-    /// Noise of a row's voltage and torque, shares.
-    pub const VOLTAGE_NOISE: f64 = 0.005;
-    pub const TORQUE_NOISE: f64 = 0.05;
-    /// Prior standard deviations of the factors of flux, of friction, and of an unknown one.
-    pub const FLUX_STD: f64 = 0.5;
-    pub const FRICTION_STD: f64 = 1.0;
-    pub const UNKNOWN_STD: f64 = 10.0;
-    /// Least probability of a run of equal readings, and its least length.
-    pub const REPEAT_CHANCE: f64 = 1e-9;
+    /// Least length of a run of equal readings that is not by chance.
     pub const FEWEST_REPEATS: usize = 8;
-    /// Readings at rest needed for the share of repeats.
-    pub const REST_READINGS: usize = 3;
-    /// A sensor with fewer repeats than this share has electrical noise, not only the vibration of a shaft.
-    pub const SELDOM_REPEATS: f64 = 0.35;
 }

@@ -38,21 +38,9 @@ struct Settings {
     /// Fewest rows and seconds of a stretch.
     fewest_rows: usize,
     shortest_s: f64,
-    /// Longest stretch, rows; longer ones are divided.
-    longest_rows: usize,
-    /// Spectral lines of a stretch in the fit of poles and zeros.
-    fitted_lines: f64,
-    /// Least relative half-width of the band in which the peak of a mode is searched.
-    peak_band: f64,
 }
 
-const SETTINGS: Settings = Settings {
-    fewest_rows: 200,
-    shortest_s: 1.0,
-    longest_rows: 16_384,
-    fitted_lines: 1_200.0,
-    peak_band: 0.025,
-};
+const SETTINGS: Settings = Settings { fewest_rows: 200, shortest_s: 1.0 };
 
 /// From which signal to which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -334,7 +322,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         found.push(0..time_s.len());
     }
     let cut = found.into_iter().flat_map(|rows| {
-        let parts = rows.len().div_ceil(SETTINGS.longest_rows);
+        let parts = rows.len().div_ceil(16_384);
         let size = rows.len().div_ceil(parts.max(1));
         (0..parts).map(move |part| {
             let from = rows.start + part * size;
@@ -601,7 +589,8 @@ impl Estimator {
         let own = &self.stretches[stretch];
         let apart_hz = 1.0 / own.length_s();
         let (first, last) = (self.lowest_hz / apart_hz, self.highest_hz / apart_hz);
-        let stride = (((last - first) / SETTINGS.fitted_lines).ceil()).max(1.0);
+        // For a fit of poles and zeros 1,200 lines are enough.
+        let stride = (((last - first) / 1_200.0).ceil()).max(1.0);
         let count = whole(((last - first) / stride).floor());
         let frequency_hz: Vec<f64> =
             (0..=count).map(|n| (first.ceil() + n as f64 * stride) * apart_hz).collect();
@@ -637,13 +626,14 @@ fn has_extremum(mode: &Mode, points: &[ResponsePoint]) -> bool {
         ModeKind::Resonance => 1.0,
         ModeKind::AntiResonance => -1.0,
     };
-    let band = mode.damping_ratio.max(SETTINGS.peak_band);
+    let least_band = 0.025;
+    let band = mode.damping_ratio.max(least_band);
     let [first, last] = [1.0 - band, 1.0 + band].map(|factor| index_of(mode.frequency_hz * factor));
     let height = |point: &ResponsePoint| sign * point.magnitude.ln();
     let near = points.get(first..=last).into_iter().flatten();
     let Some(top) = near.max_by(|a, b| height(a).total_cmp(&height(b))) else { return false };
     // The sides lie three dampings away.
-    let distance = (3.0 * mode.damping_ratio).clamp(2.0 * SETTINGS.peak_band, 0.6);
+    let distance = (3.0 * mode.damping_ratio).clamp(2.0 * least_band, 0.6);
     let sides =
         [1.0 - distance, 1.0 / (1.0 - distance)].map(|factor| index_of(mode.frequency_hz * factor));
     let [Some(below), Some(above)] = sides.map(|at| points.get(at)) else { return false };

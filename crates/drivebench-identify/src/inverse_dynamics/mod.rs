@@ -36,9 +36,6 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{ParameterEstimate, Reason, Run, Verdict};
 use drivebench_model::signal;
 
-/// Least ratio, in power, of the part of the acceleration that the other regressors do not explain to its noise.
-const LEAST_SIGNAL: f64 = 4.0;
-
 /// Estimates of one balance, with figures of the processing.
 #[derive(Clone, Debug)]
 pub struct Balanced {
@@ -324,9 +321,9 @@ impl Solved {
         let power = self.rows_per_fit * processing.acceleration_noise.powi(2);
         let is_inertia = |slot: &Slot| matches!(slot, Slot::Motor(MotorKey::Inertia));
         let determined = self.covariance[(column, column)].is_finite();
-        if determined && is_inertia(slot) && partial < LEAST_SIGNAL * power {
+        if determined && is_inertia(slot) && partial < 4.0 * power {
             let reason = format!(
-                "the acceleration is {:.1} times its noise in power, at least {LEAST_SIGNAL} is needed: \
+                "the acceleration is {:.1} times its noise in power, at least 4 is needed: \
                  the run does not excite it",
                 partial / power
             );

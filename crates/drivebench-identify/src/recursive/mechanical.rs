@@ -9,8 +9,6 @@ use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 /// Rows below which there is no estimate.
 const FEWEST_ROWS: u64 = 4;
-/// Rows after a change before anything is settled again.
-const REOPENED_ROWS: u64 = 60;
 
 /// Estimators with a common forgetting factor.
 #[derive(Clone, Debug)]
@@ -135,8 +133,9 @@ impl MechanicalBalance {
     /// Why no value may be settled now although the rows agree.
     fn reopened(&self) -> Option<(Reason, String)> {
         let rows = self.fits.estimator.rows();
-        (self.changes > 0 && rows < REOPENED_ROWS).then(|| {
-            let so_far = format!("begun again, {rows} of {REOPENED_ROWS} rows so far");
+        let needed = 60;
+        (self.changes > 0 && rows < needed).then(|| {
+            let so_far = format!("begun again, {rows} of {needed} rows so far");
             (Reason::InertiaChanged, format!("the inertia has changed: {so_far}"))
         })
     }

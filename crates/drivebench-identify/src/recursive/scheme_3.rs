@@ -17,11 +17,8 @@ use drivebench_model::plant::{Motor, MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::signal::holding_since;
 
-const LONGEST_BLOCK_S: f64 = 0.01;
 /// Voltage that counts as zero, V: the rest of a bumpless start.
 const NEARLY_ZERO_V: f64 = 0.05;
-/// Largest number of stored voltage events without a sample.
-const MOST_EVENTS: usize = 4096;
 /// Rows, and relative standard deviation, at which the prediction-error method replaces the linear start.
 const START_ROWS: u64 = 20;
 const START_UNCERTAINTY: f64 = 0.2;
@@ -165,9 +162,9 @@ impl Scheme3 {
             return;
         }
         self.energised |= voltage_v.abs() > NEARLY_ZERO_V;
-        if self.voltage.len() >= MOST_EVENTS {
+        if self.voltage.len() >= 4096 {
             // Commands without a usable sample: they are pruned with the blocks, and there are none.
-            self.voltage.drain(..MOST_EVENTS / 2);
+            self.voltage.drain(..2048);
         }
         let position = self.voltage.partition_point(|event| event.0 < time_s);
         match self.voltage.get_mut(position) {
@@ -227,7 +224,7 @@ impl Scheme3 {
     }
 
     fn block_s(&self) -> f64 {
-        (self.winding()).map_or(LONGEST_BLOCK_S, |[r, l, _]| (l / r).min(LONGEST_BLOCK_S))
+        self.winding().map_or(f64::INFINITY, |[r, l, _]| l / r).min(0.01)
     }
 
     /// R, L, Ke of the prediction-error step, before that the guess.

@@ -185,13 +185,10 @@ pub(super) fn correlation(a: &[f64], b: &[f64]) -> f64 {
     if aa > 0.0 && bb > 0.0 { ab / (aa * bb).sqrt() } else { 0.0 }
 }
 
-/// Least number of windows of a record.
-const FEWEST_WINDOWS: f64 = 100.0;
-
-/// Some 3,000 windows, evenly spread over a long record.
+/// 100 to 3,000 windows, evenly spread over a long record.
 fn spread_windows(time_s: &[f64], scales: &RunScales) -> Vec<Range<usize>> {
     // Where columns are exchanged the time of response is not that of a motor.
-    let window_s = scales.responses(WINDOW_RESPONSES).min(scales.length_s / FEWEST_WINDOWS);
+    let window_s = scales.responses(WINDOW_RESPONSES).min(scales.length_s / 100.0);
     let windows = windows(time_s, window_s);
     let stride = windows.len().div_ceil(3000).max(1);
     windows.into_iter().step_by(stride).collect()

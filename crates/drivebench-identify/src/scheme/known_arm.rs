@@ -12,7 +12,7 @@
 use super::{Data, Identified, IdentifyError, Scheme};
 use crate::balance::has_both_power_flows;
 use crate::speed_from_angle::slopes;
-use crate::verdict::judge;
+use crate::verdict::{judge, unknown};
 use crate::weak_form;
 use drivebench_model::plant::effect::TermKind;
 use drivebench_model::plant::{
@@ -33,10 +33,6 @@ const DRAG: TermKind = TermKind::Drag;
 const WEIGHT: TermKind = TermKind::Weight;
 const OF_LOAD: TermKind = TermKind::FrictionOfLoad;
 
-/// Passes in which the torque that passes the gear follows from the back-EMF constant: each leaves a tenth of the error.
-const PASSES: usize = 12;
-/// Relative deviation of the weight in volts up to which it gives a scale.
-const LARGEST_SHARE: f64 = 0.2;
 /// Standard deviations from which on the friction that grows with the load is there.
 const SIGNIFICANT_SIGMAS: f64 = 2.0;
 
@@ -115,7 +111,8 @@ fn balance(effects: &[TermKind], run: &Scenario) -> Result<Vec<ParameterEstimate
     }
     let mut run = run.clone();
     let mut found = Vec::new();
-    for _ in 0..if effects.contains(&OF_LOAD) { PASSES } else { 1 } {
+    // Each pass leaves a tenth of the error.
+    for _ in 0..if effects.contains(&OF_LOAD) { 12 } else { 1 } {
         let own = back_emf(&found);
         let rows = run.events.iter().zip(&run.speed_rad_s);
         run.current_a = rows.map(|(event, speed)| event.1 - own * speed).collect();
@@ -140,7 +137,7 @@ fn in_torques(
         ([volts / amplitude_n_m, std / volts], [sin[0] / volts, cos[0] / volts])
     });
     // Else the arm has not moved through angles at which its weight changes.
-    let scale = scale.filter(|([_, share], _)| *share < LARGEST_SHARE);
+    let scale = scale.filter(|([_, share], _)| *share < 0.2);
     let back_emf = of(found, &key(DRAG, 0));
     // Value and relative deviation of a product or a ratio.
     let of_volts = |own: Option<[f64; 2]>, power: i32| {
@@ -161,7 +158,7 @@ fn in_torques(
             || {
                 let reason =
                     "the arm hardly moves, or never through an angle at which its weight changes";
-                ParameterEstimate::not_observable(key.key(), key.unit(), Reason::NotExcited, reason)
+                unknown(key, Reason::NotExcited, reason)
             },
             |(value, std)| judge(&Slot::Motor(key), value, Some(std), scenario.mean_period_s()),
         ));
@@ -173,10 +170,8 @@ fn in_torques(
             );
         }
     }
-    let inductance = MotorKey::Inductance;
     let reason = "an arm is slower than the armature circuit: it is taken as settled";
-    let (key_text, unit, code) = (inductance.key(), inductance.unit(), Reason::SampledTooSlowly);
-    parameters.insert(1, ParameterEstimate::not_observable(key_text, unit, code, reason));
+    parameters.insert(1, unknown(MotorKey::Inductance, Reason::SampledTooSlowly, reason));
     if let Some((_, wave)) = scale {
         let sizes = wave.map(|share| amplitude_n_m * share);
         model.effects.retain(|active| active.id() != WEIGHT.id());

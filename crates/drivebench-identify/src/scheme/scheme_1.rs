@@ -124,9 +124,6 @@ fn finish(id: &'static str, model: &Model, mut parameters: Vec<ParameterEstimate
     Identified::new(id, model, parameters).leaving_out(model, motor_alone)
 }
 
-/// Root mean square deviation of a step between samples from the period that still counts as equidistant.
-const MOST_JITTER: f64 = 0.02;
-
 /// A run on an equidistant grid.
 struct Grid {
     period_s: f64,
@@ -173,14 +170,15 @@ impl Grid {
         let squares: f64 = pairs.map(|(step, count)| (step / period_s - count).powi(2)).sum();
         let jitter = (squares / steps.len() as f64).sqrt();
         // Not below for NaN either.
-        let is_even = jitter < MOST_JITTER;
+        let most_jitter = 0.02;
+        let is_even = jitter < most_jitter;
         if !is_even {
             return Err(refuse(
                 format!(
                     "scheme 1 needs equidistant samples, and here the step between samples deviates by {:.1} % of the period of {:.3} ms (at most {:.0} % is allowed)",
                     100.0 * jitter,
                     1e3 * period_s,
-                    100.0 * MOST_JITTER
+                    100.0 * most_jitter
                 ),
                 "use --scheme output-error, which takes every sample at its own stamp",
             ));

@@ -27,10 +27,6 @@ use drivebench_model::sample::Channel;
 type M4 = SMatrix<f64, 4, 4>;
 type V4 = SVector<f64, 4>;
 
-/// Smallest singular value of the scaled normal matrix that counts as excited.
-const LEAST_EXCITATION: f64 = 1e-10;
-const FEWEST_ROWS: usize = 30;
-
 /// Equidistant samples.
 #[derive(Clone, Copy, Debug)]
 pub struct Series<'a> {
@@ -57,10 +53,10 @@ pub struct Instrumental {
 
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum InstrumentalError {
-    #[error("{rows} rows of three samples in one direction, at least {FEWEST_ROWS} are needed")]
+    #[error("{rows} rows of three samples in one direction, at least 30 are needed")]
     TooFewRows { rows: usize },
     #[error(
-        "the run does not excite speed, voltage and load apart (smallest singular value {least:.1e}, at least {LEAST_EXCITATION:.0e} is needed)"
+        "the run does not excite speed, voltage and load apart (smallest singular value {least:.1e}, at least 1e-10 is needed)"
     )]
     NotExcited { least: f64 },
     #[error("the instrumental variables find no motor: {0}")]
@@ -429,7 +425,7 @@ struct Solution {
 impl Solution {
     fn of(pairs: &[Pair]) -> Result<Self, InstrumentalError> {
         let rows = pairs.len();
-        if rows < FEWEST_ROWS {
+        if rows < 30 {
             return Err(InstrumentalError::TooFewRows { rows });
         }
         let length = |of: &dyn Fn(&Pair, usize) -> f64| {
@@ -448,7 +444,7 @@ impl Solution {
             right += z * pair.value;
         }
         let least = normal.singular_values().min();
-        let inverse = normal.try_inverse().filter(|_| least > LEAST_EXCITATION);
+        let inverse = normal.try_inverse().filter(|_| least > 1e-10);
         let inverse = inverse.ok_or(InstrumentalError::NotExcited { least })?;
         let theta = (inverse * right).component_div(&norms);
         let inverse = M4::from_fn(|i, j| inverse[(i, j)] / (norms[i] * sizes[j]));

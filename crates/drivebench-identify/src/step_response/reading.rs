@@ -7,13 +7,6 @@ use drivebench_model::numerics::root::halved;
 use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{Input, Scenario};
 
-/// Mechanical time constants that a step has to be held for: the response is then at 97 % at least.
-const HELD: f64 = 3.5;
-/// Samples that a response has to have.
-const FEWEST: usize = 20;
-/// Samples within the electrical time constant that the start of the current must have.
-const FEWEST_AT_START: usize = 4;
-
 /// A step of voltage out of rest.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Step {
@@ -141,9 +134,10 @@ impl Response {
                 .collect()
         };
         let speed = series(&scenario.speed_rad_s);
-        if speed.len() < FEWEST {
+        let fewest = 20;
+        if speed.len() < fewest {
             return Err(format!(
-                "{} samples of the speed during the step of {:.2} V at {:.3} s, at least {FEWEST} are needed",
+                "{} samples of the speed during the step of {:.2} V at {:.3} s, at least {fewest} are needed",
                 speed.len(),
                 step.voltage_v,
                 step.at_s
@@ -201,10 +195,12 @@ impl Response {
             tm = meeting_s / meeting_time(r.unwrap_or(0.0));
         }
         let held_s = self.step.until_s - self.step.at_s;
-        if held_s < HELD * tm {
+        // The response is then at 97 % at least.
+        let needed = 3.5;
+        if held_s < needed * tm {
             return Err(format!(
                 "no steady state: the step of {:.2} V at {:.3} s is held for {:.1} times TM as it seems ({:.1} ms), \
-                 {HELD} times are needed",
+                 {needed} times are needed",
                 self.step.voltage_v,
                 self.step.at_s,
                 held_s / tm,
@@ -364,9 +360,9 @@ impl Response {
     /// `L = u/(di/dt)` at the start, from a parabola without a constant through the current's first rise.
     fn inductance(&self, ta_s: f64) -> Result<Read, String> {
         let start = &self.current[..self.current.partition_point(|point| point.0 <= 0.6 * ta_s)];
-        if start.len() < FEWEST_AT_START {
+        if start.len() < 4 {
             return Err(format!(
-                "{} samples of the current within its first rise ({:.1} ms), at least {FEWEST_AT_START} are needed: \
+                "{} samples of the current within its first rise ({:.1} ms), at least 4 are needed: \
                  sample faster, or use burst capture",
                 start.len(),
                 0.6e3 * ta_s
@@ -421,10 +417,8 @@ fn line(points: &[(f64, f64)], at: f64) -> Option<(f64, f64)> {
 
 // The normalised step response `1/(r s^2 + s + 1)`: time in units of TM, `r = Ta/TM`.
 
-/// Height at which all these curves nearly meet, and the largest ratio that is read: beyond, the response oscillates for
-/// longer than any step is held.
+/// Height at which all these curves nearly meet.
 const MEETING: f64 = 0.73;
-const LARGEST_RATIO: f64 = 10.0;
 
 fn height(x: f64, r: f64) -> f64 {
     let discriminant = 1.0 - 4.0 * r;
@@ -452,8 +446,10 @@ fn meeting_time(r: f64) -> f64 {
 
 /// Ratio of the curve whose height at half of TM is `half`; `None` for a height that none of them has.
 fn ratio(half: f64) -> Option<f64> {
-    let within = half < height(0.5, 0.0) && half > height(0.5, LARGEST_RATIO);
-    within.then(|| halved(0.0, LARGEST_RATIO, 60, |r| half - height(0.5, r) < 0.0))
+    // At a larger ratio the response oscillates for longer than any step is held.
+    let largest = 10.0;
+    let within = half < height(0.5, 0.0) && half > height(0.5, largest);
+    within.then(|| halved(0.0, largest, 60, |r| half - height(0.5, r) < 0.0))
 }
 
 #[cfg(test)]
