@@ -65,8 +65,6 @@ pub struct Addc {
 impl Addc {
     pub const ID: &str = "addc";
 
-    /// # Errors
-    /// What the tuning refuses at the model's own inertia.
     pub fn new(
         model: &Model,
         plant: &LinearPlant,
@@ -110,9 +108,6 @@ impl Addc {
     }
 
     /// With gains that follow the time constant of the winding too; over a voltage only.
-    ///
-    /// # Errors
-    /// What the tuning refuses at a bound of that time constant.
     pub fn adapting_to_the_winding(
         mut self,
         model: &Model,
@@ -131,7 +126,6 @@ impl Addc {
         self
     }
 
-    /// Whether the estimate is settled.
     pub fn is_settled(&self) -> bool {
         self.estimator.load().settled
     }

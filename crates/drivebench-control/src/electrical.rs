@@ -31,9 +31,6 @@ pub(super) struct Electrical {
 
 impl Electrical {
     /// `None` for a model without a winding.
-    ///
-    /// # Errors
-    /// What the tuning refuses at a bound of Ta.
     pub(super) fn new(
         model: &Model,
         viscous_n_m_s_per_rad: f64,

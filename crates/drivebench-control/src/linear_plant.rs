@@ -65,9 +65,6 @@ impl PlantError {
 }
 
 /// The slope of a model's friction; 0 without viscous friction.
-///
-/// # Errors
-/// Viscous friction without a value, or one that is not finite or below 0.
 pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, PlantError> {
     let Some(effect) = model.effects.iter().find(|effect| effect.id() == TermKind::Drag.id())
     else {
@@ -84,9 +81,6 @@ pub fn viscous_n_m_s_per_rad(model: &Model, actuator: Actuator) -> Result<f64, P
 impl LinearPlant {
     /// The plant of a model with the slope of its own friction; `lag_s` is that of the drive behind a current or a speed
     /// command.
-    ///
-    /// # Errors
-    /// A value that is missing or not physical.
     pub fn of(model: &Model, actuator: Actuator, lag_s: f64) -> Result<Self, PlantError> {
         let viscous = viscous_n_m_s_per_rad(model, actuator)?;
         match actuator {
@@ -97,9 +91,6 @@ impl LinearPlant {
     }
 
     /// The plant of a model behind a voltage command; `viscous_n_m_s_per_rad` is the slope of its friction.
-    ///
-    /// # Errors
-    /// A value that is missing, not finite or not positive.
     pub fn voltage(model: &Model, viscous_n_m_s_per_rad: f64) -> Result<Self, PlantError> {
         let value = |key| positive(model, key, Actuator::Voltage);
         let (r, l) = (value(MotorKey::Resistance)?, value(MotorKey::Inductance)?);
@@ -114,9 +105,6 @@ impl LinearPlant {
     }
 
     /// The plant behind a current (torque) command that the drive follows with a lag, s.
-    ///
-    /// # Errors
-    /// As [`Self::voltage`].
     pub fn current(
         model: &Model,
         viscous_n_m_s_per_rad: f64,
@@ -136,9 +124,6 @@ impl LinearPlant {
 
     /// The plant behind a speed command: the drive's speed loop, which includes the shaft's load, as two equal lags of `lag_s`
     /// together.
-    ///
-    /// # Errors
-    /// A lag that is not finite or not positive.
     pub fn speed(lag_s: f64) -> Result<Self, PlantError> {
         let half_s = 0.5 * checked("speed_lag_s", lag_s)?;
         Ok(Self {

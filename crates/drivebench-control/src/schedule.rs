@@ -5,10 +5,6 @@ use super::tuning::{NotchUse, Request, Tuning, TuningError, tune_over};
 use super::{LinearPlant, LoopTiming, Notch, PiGains};
 use drivebench_model::numerics::count::whole;
 
-/// Points of the grid, and its reach either way from the model's inertia.
-const POINTS: usize = 41;
-const RANGE: f64 = 32.0;
-
 /// Gains over the ratio of the inertia to the model's.
 #[derive(Clone, Debug)]
 pub struct Schedule {
@@ -52,18 +48,17 @@ impl Scheduled {
 
 impl Schedule {
     /// The grid around the model's plant; it ends where the rule refuses. Away from the model's nominal inertia only the draws
-    /// with the least margins there are checked, and a notch is used where it was found to help there.
-    ///
-    /// # Errors
-    /// What [`tune_over`] refuses at the model's nominal inertia.
+    /// with the least margins there are checked, and a notch is used where it was found to help there. It is refused as
+    /// [`tune_over`] refuses that nominal inertia.
     pub fn new(
         plant: &LinearPlant,
         draws: &[LinearPlant],
         timing: &LoopTiming,
         request: &Request,
     ) -> Result<Self, TuningError> {
-        let step = 2.0 * RANGE.ln() / (POINTS - 1) as f64;
-        let middle = POINTS / 2;
+        // Twenty points either way from the model's inertia, up to 32 times it.
+        let (reach, middle) = (32.0_f64.ln(), 20);
+        let step = 2.0 * reach / 40.0;
         let nominal = tune_over(plant, draws, timing, request)?;
         let request = Request {
             notch: nominal.gains.notch.map_or(NotchUse::Off, NotchUse::Like),
@@ -71,7 +66,7 @@ impl Schedule {
         };
         let hardest = nominal.draws.as_ref().map(|draws| draws.hardest.as_slice());
         let at = |index: usize| {
-            let ratio = (index as f64 * step - RANGE.ln()).exp();
+            let ratio = (index as f64 * step - reach).exp();
             let scaled = |plant: &LinearPlant| plant.with_inertia_ratio(ratio);
             let draws: Vec<LinearPlant> = hardest.unwrap_or_default().iter().map(scaled).collect();
             tune_over(&scaled(plant), &draws, timing, &request).map(|tuning| point(&tuning))
@@ -91,9 +86,9 @@ impl Schedule {
         let first = middle - points.len();
         points.reverse();
         points.push(point(&nominal));
-        let (heavier, above) = from(&mut (middle + 1..POINTS));
+        let (heavier, above) = from(&mut (middle + 1..2 * middle + 1));
         points.extend(heavier);
-        Ok(Self { points, refused: [below, above], lowest: first as f64 * step - RANGE.ln(), step })
+        Ok(Self { points, refused: [below, above], lowest: first as f64 * step - reach, step })
     }
 
     /// Smallest and largest ratio of the grid.

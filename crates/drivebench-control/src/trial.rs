@@ -17,7 +17,6 @@ use drivebench_model::plant::Coupling;
 /// turns its oscillation by more than 0.03 rad.
 const STEPS: usize = 20;
 
-/// The machine and its line.
 #[derive(Clone, Copy, Debug)]
 pub struct TrialMachine {
     pub resistance_ohm: f64,

@@ -65,8 +65,7 @@ pub struct LoadObserving {
 impl LoadObserving {
     pub const ID: &str = "load-observer";
 
-    /// # Errors
-    /// Recursions that do not converge; a model that lacks a value gives settings that are not allowed.
+    /// Refused: recursions that do not converge, and as a setting that is not allowed a value that the model lacks.
     pub fn new(
         model: &Model,
         plant: &LinearPlant,

@@ -130,8 +130,6 @@ struct Memory {
 impl PaperB {
     pub const ID: &str = "paper-b";
 
-    /// # Errors
-    /// Settings that are not allowed, a recursion that does not end, a loop that would not be stable.
     pub fn new(plant: PaperBPlant, settings: PaperBSettings) -> Result<Self, PaperBError> {
         check(&settings)?;
         let (g, h) = plant.state_space();

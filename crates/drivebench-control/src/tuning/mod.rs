@@ -40,20 +40,20 @@ impl Rule {
     pub const ALL: [Self; 3] =
         [Self::ModulusOptimum, Self::SymmetricalOptimum, Self::PolePlacement];
 
-    pub const fn id(self) -> &'static str {
+    const fn row(self) -> [&'static str; 2] {
         match self {
-            Self::ModulusOptimum => "modulus-optimum",
-            Self::SymmetricalOptimum => "symmetrical-optimum",
-            Self::PolePlacement => "pole-placement",
+            Self::ModulusOptimum => ["modulus-optimum", "modulus optimum"],
+            Self::SymmetricalOptimum => ["symmetrical-optimum", "symmetrical optimum"],
+            Self::PolePlacement => ["pole-placement", "pole placement"],
         }
     }
 
+    pub const fn id(self) -> &'static str {
+        self.row()[0]
+    }
+
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::ModulusOptimum => "modulus optimum",
-            Self::SymmetricalOptimum => "symmetrical optimum",
-            Self::PolePlacement => "pole placement",
-        }
+        self.row()[1]
     }
 }
 
@@ -216,10 +216,8 @@ fn of_draws(draws: usize) -> String {
     }
 }
 
-/// Gains by a rule, checked on the sampled loop with its delay.
-///
-/// # Errors
-/// A plant or timing to which the rule does not apply, a bandwidth that the loop cannot carry, too little margin.
+/// Gains by a rule, checked on the sampled loop with its delay. Refused: a plant or timing to which the rule does not apply, a bandwidth
+/// that the loop cannot carry, too little margin.
 pub fn tune(
     plant: &LinearPlant,
     timing: &LoopTiming,
@@ -229,9 +227,6 @@ pub fn tune(
 }
 
 /// The same, with the margins at the worst of `draws` too.
-///
-/// # Errors
-/// As [`tune`].
 pub fn tune_over(
     plant: &LinearPlant,
     draws: &[LinearPlant],
