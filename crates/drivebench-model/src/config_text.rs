@@ -5,7 +5,6 @@ mod wrong_unit;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-/// A configuration text that cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{file}:{line}:{column}: {message}")]
 pub struct ConfigError {

@@ -112,7 +112,6 @@ impl Program {
         &self.spans
     }
 
-    /// Farthest voltage from zero, V.
     pub fn peak_v(&self) -> f64 {
         let pieces = self.pieces.iter();
         pieces.fold(0.0, |peak_v, piece| peak_v.max(piece.from_v.abs()).max(piece.to_v.abs()))

@@ -28,7 +28,7 @@ pub fn solve(matrix: &DMatrix<f64>, right: &DVector<f64>, block_of: &[usize]) ->
 }
 
 /// Scales every column to a norm of one, and gives the norms.
-fn scaled_to_one(columns: &mut DMatrix<f64>) -> Vec<f64> {
+pub fn scaled_to_one(columns: &mut DMatrix<f64>) -> Vec<f64> {
     let norm = |mut column: nalgebra::DVectorViewMut<'_, f64>| {
         let norm = column.norm().max(f64::MIN_POSITIVE);
         column /= norm;

@@ -10,9 +10,7 @@ pub trait Problem: Sync {
     /// Writes the residual at `x`; returns false where it cannot be evaluated. Called from several threads.
     fn residual(&self, x: &[f64], out: &mut [f64]) -> bool;
     fn residual_len(&self) -> usize;
-    /// Forward-difference step of parameter `index`.
     fn difference_step(&self, index: usize) -> f64;
-    /// Keeps `x` within its bounds.
     fn clamp(&self, x: &mut [f64]);
     /// For each parameter its column of the Jacobian at `x`, where the problem computes it without differences.
     fn slopes(&self, x: &[f64]) -> Vec<Option<Vec<f64>>> {
@@ -63,7 +61,6 @@ impl Options {
     }
 }
 
-/// Where the search ended.
 #[derive(Clone, Debug)]
 pub struct Minimum {
     pub x: Vec<f64>,

@@ -4,11 +4,6 @@ use crate::numerics::statistics::{mean, median, median_step};
 use crate::sample::{Channel, Run};
 use crate::signal::Point;
 
-/// Samples on either side of a step through which a line is laid; half of them are enough.
-const LINE_SAMPLES: usize = 8;
-/// Longest lag that is searched, in samples: a later line would begin within the change itself.
-const LONGEST_LAG: usize = 3;
-
 /// The steps of the commanded current `(time, A)`: a command that repeats the one before is none.
 pub(super) fn steps(commands: &[Point]) -> Vec<Point> {
     let mut steps: Vec<Point> = Vec::new();
@@ -60,13 +55,14 @@ pub(super) fn lag_s(run: &Run, steps: &[Point]) -> f64 {
     let ends: Vec<usize> = steps.iter().map(|step| at(step.0)).chain([speed.len()]).collect();
     let kink = |(ends, step): (&[usize], &Point)| {
         let &[begin, middle, end] = ends else { return None };
-        let before = line(one_way(&speed[begin.max(middle.saturating_sub(LINE_SAMPLES))..middle]));
-        // The samples behind the step are still on the line before it for as long as the lag is.
-        let from = (middle + LONGEST_LAG).min(end);
-        let after = line(one_way(&speed[from..end.min(from + LINE_SAMPLES)]));
+        let before = line(one_way(&speed[begin.max(middle.saturating_sub(8))..middle]));
+        // The samples behind the step are still on the line before it for as long as the lag is. Beyond a lag of three the line would
+        // begin within the change itself.
+        let from = (middle + 3).min(end);
+        let after = line(one_way(&speed[from..end.min(from + 8)]));
         let ((level, slope), (next_level, next_slope)) = before.zip(after)?;
         let kink_s = (level - next_level) / (next_slope - slope) - step.0;
-        let is_near = kink_s.abs() <= LONGEST_LAG as f64 * period_s;
+        let is_near = kink_s.abs() <= 3.0 * period_s;
         is_near.then(|| ((next_slope - slope).abs(), kink_s))
     };
     let mut found: Vec<(f64, f64)> =
@@ -87,7 +83,7 @@ fn one_way(points: &[Point]) -> &[Point] {
 
 /// Level at time zero and slope of the line through these points.
 fn line(points: &[Point]) -> Option<(f64, f64)> {
-    if points.len() < LINE_SAMPLES / 2 {
+    if points.len() < 4 {
         return None;
     }
     let (time_s, value): (Vec<f64>, Vec<f64>) = points.iter().copied().unzip();

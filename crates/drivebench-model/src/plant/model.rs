@@ -291,7 +291,6 @@ impl Model {
         unknown.map_or(Ok(()), |key| Err(ModelError::UnknownParameter { key }))
     }
 
-    /// Refuses a model with a parameter without a value.
     pub fn require_complete(&self) -> Result<(), ModelError> {
         let slots = self.slots();
         let unset = slots.iter().find(|slot| self.get(slot).is_none());

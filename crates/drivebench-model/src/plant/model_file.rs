@@ -14,7 +14,6 @@ use crate::sample::ParameterEstimate;
 /// Key of an effect with the list of the motor's parameters that are fixed while it is in the model.
 const HOLDS: &str = "holds";
 
-/// Standard deviation of one fitted value.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FittedValue {
@@ -183,7 +182,6 @@ fn write_list<'a>(text: &mut String, key: &str, items: impl Iterator<Item = &'a 
     }
 }
 
-/// A text as TOML writes it.
 fn quoted(text: &str) -> String {
     toml::Value::from(text).to_string()
 }

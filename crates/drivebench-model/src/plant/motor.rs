@@ -22,35 +22,28 @@ impl MotorKey {
         Self::LoadTorque,
     ];
 
-    /// Key in a model file and unit.
-    const fn names(self) -> (&'static str, &'static str) {
+    /// Key in a model file, unit and name.
+    const fn row(self) -> [&'static str; 3] {
         match self {
-            Self::Resistance => ("resistance_ohm", "ohm"),
-            Self::Inductance => ("inductance_h", "H"),
-            Self::BackEmf => ("back_emf_v_s_per_rad", "V.s/rad"),
-            Self::TorqueConstant => ("torque_n_m_per_a", "N.m/A"),
-            Self::Inertia => ("inertia_kg_m2", "kg.m2"),
-            Self::LoadTorque => ("load_torque_n_m", "N.m"),
+            Self::Resistance => ["resistance_ohm", "ohm", "resistance"],
+            Self::Inductance => ["inductance_h", "H", "inductance"],
+            Self::BackEmf => ["back_emf_v_s_per_rad", "V.s/rad", "back-EMF constant"],
+            Self::TorqueConstant => ["torque_n_m_per_a", "N.m/A", "torque constant"],
+            Self::Inertia => ["inertia_kg_m2", "kg.m2", "inertia"],
+            Self::LoadTorque => ["load_torque_n_m", "N.m", "load torque"],
         }
     }
 
     pub const fn key(self) -> &'static str {
-        self.names().0
+        self.row()[0]
     }
 
     pub const fn unit(self) -> &'static str {
-        self.names().1
+        self.row()[1]
     }
 
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Resistance => "resistance",
-            Self::Inductance => "inductance",
-            Self::BackEmf => "back-EMF constant",
-            Self::TorqueConstant => "torque constant",
-            Self::Inertia => "inertia",
-            Self::LoadTorque => "load torque",
-        }
+        self.row()[2]
     }
 
     pub const fn is_electrical(self) -> bool {

@@ -14,7 +14,6 @@ use crate::signal::{self, Point};
 /// Intervals between readings, in periods, over which no balance may extend.
 pub(super) const LONGEST_PERIODS: f64 = 1.5;
 
-/// The run with the restored speed.
 pub(super) struct Restored {
     pub(super) run: Run,
     /// Standard deviation of the speed by the resolution of its sensor, which vanishes at rest, rad/s.

@@ -58,10 +58,6 @@ impl Measure {
 /// sliding.
 pub const REVERSAL_SHARE: f64 = 0.015;
 
-/// Samples of an interval of the regression for the time of response: the noise of a speed that is the difference of counts is
-/// then small against the change of the speed.
-const INTERVAL_SAMPLES: usize = 8;
-
 impl RunScales {
     /// The run to which the ranges of the catalogue refer: the motor of paper A at 110 V in steps.
     pub const REFERENCE: Self = Self {
@@ -171,7 +167,7 @@ fn intervals(scenario: &Scenario, most: [f64; 2]) -> Vec<Interval> {
     let rows: Vec<[f64; 3]> =
         (0..scenario.samples()).map(row).filter(|row| row[2].is_finite()).collect();
     let interval = |rows: &[[f64; 3]]| {
-        let (first, last) = (rows[0], rows[INTERVAL_SAMPLES]);
+        let (first, last) = (rows[0], rows[8]);
         let areas = rows.windows(2).fold([0.0; 3], |sum, pair| {
             let length = (pair[1][0] - pair[0][0]) / unit_s;
             let [current, speed] = [1, 2].map(|signal| 0.5 * (pair[0][signal] + pair[1][signal]));
@@ -188,9 +184,10 @@ fn intervals(scenario: &Scenario, most: [f64; 2]) -> Vec<Interval> {
             speed_change: last[2] - first[2],
         }
     };
-    // Those of a short record overlap.
-    let stride = (rows.len() / 100).clamp(1, INTERVAL_SAMPLES);
-    rows.windows(INTERVAL_SAMPLES + 1).step_by(stride).map(interval).collect()
+    // Of eight samples the noise of a speed that is the difference of counts is small against its change. Intervals of a short record
+    // overlap.
+    let stride = (rows.len() / 100).clamp(1, 8);
+    rows.windows(9).step_by(stride).map(interval).collect()
 }
 
 fn fit<const N: usize>(

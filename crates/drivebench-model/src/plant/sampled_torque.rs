@@ -16,8 +16,6 @@ use crate::signal::{self, Point};
 
 /// Least share of a held torque, halfway between both kinds.
 const LEAST_SHARE: f64 = 0.25;
-/// Least tolerance of a column, of which that of a drag at nearly one speed is 1e-5: only the rate of the torque has to be determined.
-const LEAST_TOLERANCE: f64 = 1e-9;
 
 /// The torque `(time, N.m)` as it acted: a reading from halfway to its neighbours. Where a record does not show its kind, as it is.
 pub(super) fn applied(run: &Run, held: Vec<Point>) -> Vec<Point> {
@@ -47,7 +45,9 @@ fn held_share(run: &Run, torque: &[Point]) -> Option<f64> {
     };
     let rows: Vec<Option<[f64; 4]>> = (0..times.len()).map(regressors).collect();
     let known = rows.iter().zip(torque).filter_map(|(row, point)| Some(((*row)?, point.1)));
-    let plain = fit_normal(&known.collect::<Vec<_>>(), LEAST_TOLERANCE)?;
+    // That of a drag at nearly one speed is 1e-5, and only the rate of the torque has to be determined.
+    let least_tolerance = 1e-9;
+    let plain = fit_normal(&known.collect::<Vec<_>>(), least_tolerance)?;
     let fitted = |row: &Option<[f64; 4]>| {
         row.map_or(f64::NAN, |row| row.iter().zip(plain.x).map(|(cell, x)| cell * x).sum())
     };
@@ -58,7 +58,7 @@ fn held_share(run: &Run, torque: &[Point]) -> Option<f64> {
         let change = period_s * (fitted[row + 1] - fitted[row - 1]) / over_s;
         Some(([rate, sign, linear, square, change], torque[row].1))
     });
-    let found = fit_normal(&late.collect::<Vec<_>>(), LEAST_TOLERANCE)?;
+    let found = fit_normal(&late.collect::<Vec<_>>(), least_tolerance)?;
     (found.std[4] < LEAST_SHARE).then_some(found.x[4])
 }
 

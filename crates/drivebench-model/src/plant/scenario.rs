@@ -21,7 +21,6 @@ use crate::numerics::statistics::{mean, mean_step, median_step, variance};
 use crate::sample::{Channel, Origin, Run, Sensors};
 use crate::signal::{self, Point};
 
-/// Input of the model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Input {
     /// Voltage, held from each event to the next.
@@ -242,7 +241,6 @@ impl Scenario {
         Ok(scenario)
     }
 
-    /// Finds the scales of the run from its signals.
     pub fn find_scales(&mut self) {
         self.scales = RunScales::of(self);
     }
@@ -340,7 +338,6 @@ impl Scenario {
         self.time_half_width_s.get(sample).copied().unwrap_or(0.0)
     }
 
-    /// Whether any sample has a stamp of the host, with its half-width.
     pub fn is_stamped_by_host(&self) -> bool {
         self.time_half_width_s.iter().any(|half_width_s| *half_width_s > 0.0)
     }

@@ -12,8 +12,6 @@ use crate::numerics::statistics::largest;
 
 /// Columns behind the axis.
 const COLUMNS: &str = "torque_n_m,torque_low_n_m,torque_high_n_m,windows";
-/// Largest deviation of a file from the even grid, as a share of a bin or of a turn.
-const GRID_TOLERANCE: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -122,9 +120,6 @@ impl TorqueMap {
     }
 
     /// What [`to_csv`](Self::to_csv) wrote.
-    ///
-    /// # Errors
-    /// The line that is not of such a map, with what is allowed there.
     pub fn from_csv(text: &str) -> Result<Self, MapTextError> {
         let refused = |line: usize, found: &str, allowed| MapTextError {
             line,
@@ -150,7 +145,7 @@ impl TorqueMap {
         let mut bins = Vec::with_capacity(rows.len());
         for (index, (line, text, (middle, torque, windows))) in rows.into_iter().enumerate() {
             let even = first + width * index as f64;
-            if !(width > 0.0 && (middle - even).abs() < GRID_TOLERANCE * width) {
+            if !(width > 0.0 && (middle - even).abs() < 1e-3 * width) {
                 return Err(refused(line, text, "rising bins of one width"));
             }
             bins.push(MapBin { from: even - 0.5 * width, to: even + 0.5 * width, windows, torque });
@@ -158,7 +153,7 @@ impl TorqueMap {
         let turn = width * bins.len() as f64;
         let is_whole = match torque {
             MappedTorque::Friction => bins.len().is_multiple_of(2),
-            MappedTorque::Cogging => (turn - TAU).abs() < GRID_TOLERANCE * TAU,
+            MappedTorque::Cogging => (turn - TAU).abs() < 1e-3 * TAU,
         };
         if bins.len() < 2 || !is_whole {
             let found = format!("the end after {} bins", bins.len());
@@ -200,7 +195,6 @@ impl TorqueMap {
     }
 }
 
-/// A line that is not of a map.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("line {line}: {found:?} is not allowed (expected {allowed})")]
 pub struct MapTextError {

@@ -63,15 +63,7 @@ const SETTINGS: Settings = Settings { grid_tolerance: 0.1, neighbours: 50, fewes
 impl UnknownInput {
     /// The time between two concatenated runs: zero input, and a restart of the simulation after it.
     pub(super) const fn between_runs(from_s: f64, to_s: f64, begins_with: [f64; 2]) -> Self {
-        Self {
-            from_s,
-            to_s,
-            lost_rows: 0,
-            mean: 0.0,
-            beside: [0.0; SHORT_HOLE],
-            variance: 0.0,
-            restart: Some(begins_with),
-        }
+        Self::of_unconfirmed([from_s, to_s], 0.0, 0.0, begins_with)
     }
 
     /// The interval of a change at an unknown instant.
@@ -95,7 +87,6 @@ impl UnknownInput {
         self.lost_rows == 0 && self.variance > 0.0 && self.restart.is_none()
     }
 
-    /// Whether a command was not confirmed.
     pub const fn is_unconfirmed(&self) -> bool {
         self.lost_rows == 0 && self.variance > 0.0 && self.restart.is_some()
     }

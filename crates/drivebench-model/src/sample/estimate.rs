@@ -1,11 +1,11 @@
 //! An estimated parameter with its standard deviation and verdict.
 
-use serde::{Deserialize, Serialize};
+use serde::ser::SerializeStruct as _;
+use serde::{Deserialize, Serialize, Serializer};
 
 use crate::findings;
 use crate::text::number::{self, significant, with_std, with_unit};
 
-/// Quality of an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -70,8 +70,7 @@ findings! {
 pub const TWO_SIDED_95: f64 = 1.959_964;
 
 /// One estimated parameter. Serialises to the contract of `identify --json`, with the 95 % interval beside.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(into = "Contract")]
+#[derive(Clone, Debug, PartialEq)]
 pub struct ParameterEstimate {
     /// `inertia_kg_m2`, or `stribeck_friction.stribeck_n_m` for a parameter of an effect.
     pub key: String,
@@ -85,29 +84,17 @@ pub struct ParameterEstimate {
     pub code: Option<Reason>,
 }
 
-/// What `identify --json` prints of a parameter.
-#[derive(Serialize)]
-struct Contract {
-    value: Option<f64>,
-    std: Option<f64>,
-    interval_95: Option<[f64; 2]>,
-    unit: &'static str,
-    verdict: Verdict,
-    reason: Option<String>,
-    reason_code: Option<Reason>,
-}
-
-impl From<ParameterEstimate> for Contract {
-    fn from(estimate: ParameterEstimate) -> Self {
-        Self {
-            interval_95: estimate.interval_95(),
-            value: estimate.value,
-            std: estimate.std,
-            unit: estimate.unit,
-            verdict: estimate.verdict,
-            reason: estimate.reason,
-            reason_code: estimate.code,
-        }
+impl Serialize for ParameterEstimate {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut out = serializer.serialize_struct("ParameterEstimate", 7)?;
+        out.serialize_field("value", &self.value)?;
+        out.serialize_field("std", &self.std)?;
+        out.serialize_field("interval_95", &self.interval_95())?;
+        out.serialize_field("unit", self.unit)?;
+        out.serialize_field("verdict", &self.verdict)?;
+        out.serialize_field("reason", &self.reason)?;
+        out.serialize_field("reason_code", &self.code)?;
+        out.end()
     }
 }
 

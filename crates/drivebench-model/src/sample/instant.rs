@@ -4,7 +4,6 @@ use std::sync::Arc;
 
 use super::{Channel, Sensors};
 
-/// Validity of a measured value.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default)]
 pub enum Quality {
     Good,

@@ -4,7 +4,6 @@ use thiserror::Error;
 
 use super::{Channel, Sample};
 
-/// Origin of a signal.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Origin {
@@ -198,7 +197,6 @@ impl Run {
         &self.unconfirmed_rows
     }
 
-    /// The same run without one of its columns.
     #[must_use]
     pub fn without(&self, channel: Channel) -> Self {
         let mut run = self.clone();

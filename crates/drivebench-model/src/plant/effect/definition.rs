@@ -12,7 +12,6 @@ use thiserror::Error;
 use super::{Balance, Effect};
 use crate::config_text::help_for_unknown;
 
-/// Why settings define no effect.
 #[derive(Clone, Debug, Error, PartialEq)]
 #[error("{message}")]
 pub struct DefinitionError {
@@ -32,7 +31,6 @@ impl DefinitionError {
 /// An effect that settings define, with the values that stand there too.
 pub(super) type Defined = Result<(&'static dyn Effect, Vec<Option<f64>>), DefinitionError>;
 
-/// Layout of the parameters of an effect in a model file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Layout {
     /// A key for each.

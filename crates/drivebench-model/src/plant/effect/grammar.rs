@@ -18,7 +18,6 @@ pub(super) const FUNCTIONS: [&str; 17] = [
 ];
 pub(super) const PI: &str = "pi";
 
-/// A mistake in an expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Mistake {
     /// Byte at which it was noticed.
@@ -197,9 +196,6 @@ pub(super) fn sign(value: f64) -> f64 {
 }
 
 /// Reads `text`. `names` gives the index of a variable, or the help for an unknown one.
-///
-/// # Errors
-/// The first mistake, with its position.
 pub fn read(text: &str, names: &dyn Fn(&str) -> Result<usize, String>) -> Result<Tree, Mistake> {
     let mut reader = Reader { text, at: 0, depth: 0, names };
     let tree = reader.sum()?;

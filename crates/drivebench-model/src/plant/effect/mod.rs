@@ -116,7 +116,6 @@ pub enum Balance {
     Torque,
 }
 
-/// Where an effect enters the equations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Enters {
     Voltage,

@@ -82,16 +82,12 @@ impl ParameterSpec {
         shapes: &'static [f64],
     ) -> Self {
         Self {
-            key,
-            unit,
-            of: Measure::Absolute,
             min: range.0,
             max: range.1,
-            most_of_length: f64::INFINITY,
-            scale: shapes[0],
             role: ParameterRole::Shape,
             logarithmic: true,
             shapes,
+            ..Self::coefficient(key, unit, shapes[0])
         }
     }
 
@@ -117,16 +113,10 @@ impl ParameterSpec {
 
     /// Time at which the effect begins, s after the run's first command.
     pub(super) const EVENT_TIME: Self = Self {
-        key: "time_s",
-        unit: "s",
         of: Measure::Length,
-        min: 0.0,
-        max: f64::MAX,
-        most_of_length: f64::INFINITY,
-        scale: 0.1,
         role: ParameterRole::EventTime,
-        logarithmic: false,
         shapes: &[0.8, 1.5, 2.2, 2.9, 3.6, 4.3, 5.0, 5.7, 6.4, 7.1, 7.8, 8.5, 9.2],
+        ..Self::positive("time_s", "s", 0.1)
     };
 
     pub const fn is_coefficient(&self) -> bool {

@@ -24,7 +24,6 @@ pub(super) const CARD: Card = Card {
     ..Card::PLAIN
 };
 
-/// Abscissa of a curve.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
     Speed,

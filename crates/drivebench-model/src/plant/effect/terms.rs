@@ -138,7 +138,6 @@ pub trait Terms: Send + Sync {
         0
     }
 
-    /// Time derivatives of the effect's states.
     fn derivative(&self, _at: &Instant, _own: &[f64], _out: &mut [f64]) {}
 
     /// Advances the effect's states by an interval of a record with the instant of its middle.

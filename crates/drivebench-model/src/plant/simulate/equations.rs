@@ -11,7 +11,6 @@ use crate::plant::simulate::Transient;
 /// States that all effects of one model may have together.
 pub(super) const MOST_STATES: usize = 6;
 
-/// State of motor and effects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct State {
     pub current_a: f64,
@@ -252,7 +251,6 @@ impl Equations {
         [voltage_v * self.per_volt, acceleration]
     }
 
-    /// Rate of the current, A/s, under a voltage.
     pub(super) fn current_rate(&self, state: &State, at: &Instant) -> f64 {
         let [[by_current, by_speed], _] = self.a;
         let linear = by_current * state.current_a + by_speed * state.speed_rad_s;

@@ -22,7 +22,6 @@ use crate::plant::effect::{Coupling, Instant};
 /// Rounding of the event function at the beginning of a mode, rad/s or N.m.
 const ROUNDING: f64 = 1e-11;
 
-/// The load side.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Load {
     speed_rad_s: f64,
@@ -569,7 +568,6 @@ impl Matrices {
     }
 }
 
-/// Unit vector.
 fn unit<const N: usize>(index: usize) -> [f64; N] {
     std::array::from_fn(|other| f64::from(u8::from(other == index)))
 }
