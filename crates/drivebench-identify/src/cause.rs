@@ -1,15 +1,13 @@
 //! Reason why a parameter has no value, by the Cramer-Rao bound of the run at a motor that is compatible with it (Ljung 1999,
 //! section 7.4): a large bound is a lack of excitation, a small one a fit that failed or an error of the model.
 
-use nalgebra::DMatrix;
-
 use super::misfit::Misfit;
 use super::noise::{FloorSource, NoiseFloor, roughness};
 use super::output_error::{Fit, FreeRun};
 use super::verdict::NOT_OBSERVABLE;
 use super::{physical, start};
 use drivebench_model::numerics::least_squares::inverse_where_determined;
-use drivebench_model::numerics::levenberg_marquardt::{Problem as _, jacobian_at};
+use drivebench_model::numerics::levenberg_marquardt::jacobian_at;
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
@@ -57,9 +55,7 @@ impl CramerRaoBound {
             return None;
         }
         let x = problem.start();
-        let mut residual = vec![0.0; problem.residual_len()];
-        let is_simulated = problem.residual(&x, &mut residual);
-        let jacobian: DMatrix<f64> = is_simulated.then(|| jacobian_at(&problem, &x, &residual))?;
+        let jacobian = jacobian_at(&problem, &x, &problem.residuals(&x).ok()?);
         let (bread, determined) = inverse_where_determined(&jacobian);
         let free = problem.free_slots().to_vec();
         let slopes = problem.slopes(&x);
@@ -158,11 +154,8 @@ mod tests {
     use crate::testing::*;
     use drivebench_model::sample::{Channel, Run};
 
-    /// L/R 0.5 ms, R J/Ke^2 19 ms.
-    const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
-
-    fn brushed(events: Vec<(f64, f64)>, period_s: f64, seconds: f64) -> Run {
-        recorded(&record(&Model::baseline(motor(&BRUSHED)), events, period_s, seconds, 2))
+    fn run_of_brushed(events: Vec<(f64, f64)>, period_s: f64, seconds: f64) -> Run {
+        recorded(&record(&brushed(), events, period_s, seconds, 2))
     }
 
     fn found(run: &Run) -> Vec<ParameterEstimate> {
@@ -171,7 +164,7 @@ mod tests {
 
     #[test]
     fn plateaus_at_20_hz_give_resistance_and_back_emf() {
-        let found = found(&brushed(steps(1.0, 30.0, 12.0 / 70.0, 0.5), 0.05, 30.0));
+        let found = found(&run_of_brushed(steps(1.0, 30.0, 12.0 / 70.0, 0.5), 0.05, 30.0));
         for (key, truth) in [("resistance_ohm", 1.2), ("back_emf_v_s_per_rad", 0.05)] {
             assert_covers(of(&found, key), truth, 0.1, 3.0);
         }
@@ -181,9 +174,9 @@ mod tests {
 
     #[test]
     fn a_run_of_one_level_determines_only_combinations() {
-        let mut run = brushed(vec![(0.0, 0.0), (0.5, 8.0)], 0.002, 2.0);
+        let mut run = run_of_brushed(vec![(0.0, 0.0), (0.5, 8.0)], 0.002, 2.0);
         put(&mut run, Channel::Current, vec![f64::NAN; 1000]);
-        let mut model = Model::baseline(motor(&BRUSHED));
+        let mut model = brushed();
         for key in [MotorKey::Resistance, MotorKey::Inductance] {
             model.fixed.push(key.key().to_owned());
         }
@@ -194,7 +187,7 @@ mod tests {
 
     #[test]
     fn a_fault_of_a_signal_is_not_called_a_lack_of_excitation() {
-        let run = brushed(steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0);
+        let run = run_of_brushed(steps(0.3, 4.0, 12.0 / 70.0, 0.2), 0.002, 4.0);
         // A speed that is wrong half of the time.
         let wild = |row: usize, speed: f64| [1.0, -0.7][row / 37 % 2] * speed;
         let found = found(&changed(&run, Channel::Speed, wild));

@@ -18,10 +18,6 @@ use drivebench_model::numerics::statistics::mean;
 use drivebench_model::plant::{MotorKey, effect};
 use drivebench_model::sample::{ParameterEstimate, TWO_SIDED_95};
 
-/// Family-wise significance: probability that any parameter is reported although none has changed.
-const SIGNIFICANCE: f64 = 0.01;
-
-/// The change of one parameter.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Change {
     pub key: String,
@@ -115,7 +111,6 @@ impl Change {
     }
 }
 
-/// A parameter that was not compared, and why.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct NotCompared {
     pub key: String,
@@ -232,9 +227,11 @@ pub fn between(
     }
     correct(&mut changes);
     let compared = changes.len() as f64;
+    // Family-wise: the probability that any parameter is reported although none has changed.
+    let significance = 0.01;
     for change in &mut changes {
-        change.drifted = change.by_chance < SIGNIFICANCE;
-        let is_beyond_noise = compared * change.by_noise < SIGNIFICANCE;
+        change.drifted = change.by_chance < significance;
+        let is_beyond_noise = compared * change.by_noise < significance;
         let freedom = (change.runs_before + change.runs_after) as f64 - 2.0;
         // With two degrees of freedom or fewer the variation from run to run is hardly known.
         change.unsettled = is_beyond_noise && !change.drifted && freedom < 3.0;
@@ -347,7 +344,6 @@ fn correct(changes: &mut [Change]) {
     }
 }
 
-/// Possible cause of a change.
 fn cause(change: &Change) -> Option<DriftCause> {
     let grew = change.change > 0.0;
     let share = change.percent.map(|percent| percent / 100.0);

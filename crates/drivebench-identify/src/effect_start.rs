@@ -9,7 +9,6 @@ use nalgebra::{DMatrix, DVector};
 use super::noise::NoiseFloor;
 use super::output_error::{self, FitError, FreeRun, cannot_simulate};
 use drivebench_model::numerics::least_squares;
-use drivebench_model::numerics::levenberg_marquardt::Problem;
 use drivebench_model::plant::{
     ActiveEffect, Model, ParameterRole, ParameterSpec, Scenario, typical_size,
 };
@@ -56,7 +55,6 @@ pub fn scan(model: &Model, scenario: &Scenario, noise: &NoiseFloor) -> Result<St
     Ok(starts)
 }
 
-/// Whether the grid of this parameter is searched.
 fn is_searched(model: &Model, active: &ActiveEffect, index: usize) -> bool {
     let is_open = active.values[index].is_none();
     match active.effect.parameters()[index].role {
@@ -225,9 +223,7 @@ fn residual_of(
     noise: &NoiseFloor,
 ) -> Result<Vec<f64>, FitError> {
     let problem = FreeRun::new(model, scenario, *noise)?;
-    let x = problem.start();
-    let mut out = vec![0.0; problem.residual_len()];
-    if problem.residual(&x, &mut out) { Ok(out) } else { Err(cannot_simulate(scenario)) }
+    problem.residuals(&problem.start())
 }
 
 #[cfg(test)]

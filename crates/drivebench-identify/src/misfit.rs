@@ -21,7 +21,6 @@ use super::output_error::{Fit, FitError, FreeRun};
 use super::verdict::settled_below;
 use super::weak_form::Balanced;
 use drivebench_model::numerics::least_squares::inverse_where_determined;
-use drivebench_model::numerics::levenberg_marquardt::Problem as _;
 use drivebench_model::numerics::statistics::{BAND_99, largest};
 use drivebench_model::plant::effect::{BiasedFit, CATALOGUE};
 use drivebench_model::plant::{Balance, Model, Motor, MotorKey, Scenario, Slot, typical_size};
@@ -294,8 +293,7 @@ fn change_by_a_form(fit: &Fit, scenario: &Scenario, bread: &DMatrix<f64>) -> Opt
     let minimum = &fit.minimum;
     let at = |model: &Model| {
         let problem = FreeRun::new(model, scenario, fit.noise).ok()?;
-        let mut out = vec![0.0; problem.residual_len()];
-        problem.residual(&minimum.x, &mut out).then(|| DVector::from_vec(out))
+        problem.residuals(&minimum.x).ok().map(DVector::from_vec)
     };
     let base = at(&fit.model)?;
     let residual = DVector::from_column_slice(&minimum.residual);

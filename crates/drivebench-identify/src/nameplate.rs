@@ -16,7 +16,6 @@ use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
 use drivebench_model::units::rpm_from_rad_s;
 
-/// Whether one value fits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Fits {
@@ -107,7 +106,6 @@ findings! {
 }
 
 findings! {
-    /// Whether the whole plate fits.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum NameplateFinding {
         Fits = "nameplate_fits",
@@ -156,7 +154,6 @@ impl Comparison {
         self.rows.iter().filter(open).map(|row| row.key)
     }
 
-    /// Whether it fits.
     pub fn finding(&self) -> NameplateFinding {
         let judged = self.rows.iter().any(|row| row.fits != Fits::NotTold);
         match (judged, self.fits) {

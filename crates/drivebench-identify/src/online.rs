@@ -9,7 +9,6 @@ use super::stamps;
 use drivebench_model::plant::{Model, MotorKey};
 use drivebench_model::sample::{Channel, ParameterEstimate, Sample, Sensors};
 
-/// Settings of the user.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OnlineConfig {
     /// Forgetting factors per row (a block of about 10 ms).

@@ -17,7 +17,6 @@ struct Settings {
 
 const SETTINGS: Settings = Settings { margin: 4.0, resolution: 1e-3 };
 
-/// Extreme values of a record.
 struct Extents {
     /// Largest voltage, V, current, A, and torque, N.m; not a number where the record does not have it.
     voltage_v: f64,

@@ -128,15 +128,11 @@ fn estimates(levels: &[Level]) -> Vec<ParameterEstimate> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Truth, assert_found, motor, record, steps};
-    use drivebench_model::plant::Model;
-
-    const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
+    use crate::testing::{assert_found, brushed, record, steps};
 
     #[test]
     fn an_offset_does_not_bend_the_estimates_from_held_levels() {
-        let model = Model::baseline(motor(&BRUSHED));
-        let mut scenario = record(&model, steps(1.0, 20.0, 12.0 / 70.0, 0.5), 0.02, 20.0, 4);
+        let mut scenario = record(&brushed(), steps(1.0, 20.0, 12.0 / 70.0, 0.5), 0.02, 20.0, 4);
         for offset_a in [0.0, 0.35] {
             for current in &mut scenario.current_a {
                 *current += offset_a;
@@ -149,14 +145,13 @@ mod tests {
 
     #[test]
     fn unsettled_levels_and_one_direction_give_no_resistance() {
-        let model = Model::baseline(motor(&BRUSHED));
-        let quick = record(&model, steps(0.3, 10.0, 12.0 / 70.0, 0.04), 0.002, 10.0, 4);
+        let quick = record(&brushed(), steps(0.3, 10.0, 12.0 / 70.0, 0.04), 0.002, 10.0, 4);
         assert!(estimates(&levels(&quick)).is_empty());
         let mut one_way = steps(1.0, 20.0, 12.0 / 70.0, 0.5);
         for step in &mut one_way {
             step.1 = step.1.abs();
         }
-        let found = estimates(&levels(&record(&model, one_way, 0.02, 20.0, 4)));
+        let found = estimates(&levels(&record(&brushed(), one_way, 0.02, 20.0, 4)));
         assert!(ParameterEstimate::find(&found, "resistance_ohm").is_none(), "{found:?}");
     }
 }

@@ -32,12 +32,13 @@ pub(super) use super::belief::KEYS;
 pub(super) const PAPER: Truth = [1.1, 0.0099, 0.3538, 0.0045, 0.455];
 /// L/R 1 ms, R J/Ke^2 8 ms.
 pub(super) const SMALL: Truth = [2.0, 0.002, 0.05, 1e-5, 0.01];
+/// L/R 0.5 ms, R J/Ke^2 19 ms.
+pub(super) const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
 /// L/R 20 ms, R J/Ke^2 167 ms.
 pub(super) const LARGE: Truth = [0.3, 0.006, 1.2, 0.8, 4.0];
 
 pub(super) fn motor(truth: &Truth) -> Motor {
-    let values = KEYS.into_iter().zip(truth);
-    values.fold(Motor::new("truth"), |motor, (key, value)| motor.with(key, *value))
+    drivebench_model::plant::testing::motor("truth", truth)
 }
 
 /// The motor of paper A, nothing missing.
@@ -50,9 +51,17 @@ pub(super) fn unknown() -> Model {
     Model::baseline(Motor::new("?"))
 }
 
+pub(super) fn brushed() -> Model {
+    Model::baseline(motor(&BRUSHED))
+}
+
 /// The motor of paper A with an effect of these values.
 pub(super) fn paper_with(id: &str, values: &[f64]) -> Model {
-    let mut model = paper().with_effect(id).unwrap();
+    with(&paper(), id, values)
+}
+
+pub(super) fn with(model: &Model, id: &str, values: &[f64]) -> Model {
+    let mut model = model.with_effect(id).unwrap();
     model.effects[0].values = values.iter().copied().map(Some).collect();
     model
 }
@@ -117,7 +126,6 @@ pub(super) fn run_of<const N: usize>(times: Vec<f64>, columns: [(Channel, Vec<f6
     run
 }
 
-/// A measured column.
 pub(super) fn put(run: &mut Run, channel: Channel, cells: Vec<f64>) {
     run.set_column(channel, cells, Origin::Measured).unwrap();
 }
@@ -263,7 +271,6 @@ pub(super) fn assert_says(found: &ParameterEstimate, words: &[&str]) {
     assert!(says, "{words:?} {found:?}");
 }
 
-/// What the scheme of that name finds in a run.
 pub(super) fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified, IdentifyError> {
     let scenario = &Scenario::from_run(run).unwrap();
     let data = Data { run, scenario, model };

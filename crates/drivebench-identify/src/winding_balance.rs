@@ -10,7 +10,6 @@ use drivebench_model::numerics::statistics::{largest, median_step};
 use drivebench_model::plant::{Model, MotorKey, Scenario, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason};
 
-/// The fitted balance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Winding {
     /// Resistance, inductance and back-EMF constant, but for those that the model fixes.

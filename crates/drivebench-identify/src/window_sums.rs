@@ -40,7 +40,6 @@ pub(super) fn trapezoid(times: &[f64], values: &[f64], window: &Range<usize>) ->
     window.clone().map(area).sum()
 }
 
-/// Integrals over one window.
 pub(super) struct Sums {
     pub(super) length_s: f64,
     pub(super) voltage: f64,

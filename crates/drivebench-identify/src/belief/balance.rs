@@ -52,12 +52,10 @@ impl Row {
 }
 
 impl Plate {
-    /// Voltage of a steady state, V.
     pub fn steady_v(&self, current_a: f64, speed_rad_s: f64) -> f64 {
         self.resistance_ohm * current_a + self.back_emf_v_s_per_rad * speed_rad_s
     }
 
-    /// Speed of a steady state, rad/s.
     pub fn steady_rad_s(&self, volts: f64, current_a: f64) -> f64 {
         (volts - self.resistance_ohm * current_a) / self.back_emf_v_s_per_rad
     }

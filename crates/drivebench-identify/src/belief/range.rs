@@ -1,6 +1,5 @@
 //! Ranges of values: what a reading may be, by latency, resolution and tolerances.
 
-/// Lowest and highest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Range {
     pub low: f64,

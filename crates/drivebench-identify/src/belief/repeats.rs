@@ -51,7 +51,6 @@ impl Repeats {
         self.run
     }
 
-    /// Start of the present run, s.
     pub const fn since_s(&self) -> f64 {
         self.since_s
     }

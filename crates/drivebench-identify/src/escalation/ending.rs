@@ -8,14 +8,12 @@ use crate::belief::Settings;
 use drivebench_model::plant::{Motor, MotorKey};
 use drivebench_model::sample::ParameterEstimate;
 
-/// The outcome of an escalation.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     Found(Found),
     Named(Ending),
 }
 
-/// The motor.
 #[derive(Clone, Debug)]
 pub struct Found {
     pub motor: Motor,

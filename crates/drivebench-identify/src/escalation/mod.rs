@@ -95,7 +95,6 @@ impl Bounds {
     }
 }
 
-/// One stage that was run.
 #[derive(Clone, Debug, Serialize)]
 pub struct StageResult {
     pub kind: StageKind,
@@ -196,7 +195,6 @@ impl Escalation {
         }
     }
 
-    /// How it ended.
     pub fn outcome(&self) -> Option<&Outcome> {
         match &self.next {
             Next::Run(_) => None,
@@ -204,7 +202,6 @@ impl Escalation {
         }
     }
 
-    /// What was run so far.
     pub fn history(&self) -> &[StageResult] {
         &self.history
     }

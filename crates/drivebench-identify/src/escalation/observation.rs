@@ -169,7 +169,6 @@ fn at_samples(points: &[(f64, f64)], scenario: &Scenario) -> Vec<f64> {
 // The current is proportional to the voltage behind a first-order lag L/R. The lag is searched on a grid, the
 // conductance is then linear: the noise sits on the current alone, so there is no errors-in-variables bias.
 
-/// Resistance of a winding at rest.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct RestWinding {
     pub resistance_ohm: f64,
@@ -345,7 +344,6 @@ impl Turned {
         format!("R {r}, L {l}, Ke {ke}, J {j}, Mc {mc}")
     }
 
-    /// The least certain parameter, in a sentence.
     pub(super) fn worst_text(&self) -> String {
         let counts = |key: MotorKey| NEEDED.contains(&key) || key == MotorKey::Inertia;
         let worst = self.parameters.iter().find(|p| {

@@ -53,9 +53,6 @@ pub struct Compared {
 }
 
 /// The scenarios with current and speed of the model's free run, of which only the initial state is fitted.
-///
-/// # Errors
-/// A model that is not complete or cannot be simulated over the record.
 pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, FitError> {
     let simulated = |scenario: &Scenario| {
         let noise = NoiseFloor::from_standstill(scenario)
@@ -81,9 +78,6 @@ pub fn of_model(model: &Model, scenarios: &[Scenario]) -> Result<Vec<Scenario>, 
 }
 
 /// The response of `scenarios`, and that of `model`, which are the simulated scenarios.
-///
-/// # Errors
-/// As [`frequency_response`].
 pub fn compared(
     scenarios: &[Scenario],
     model: Option<&[Scenario]>,

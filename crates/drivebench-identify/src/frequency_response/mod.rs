@@ -42,7 +42,6 @@ struct Settings {
 
 const SETTINGS: Settings = Settings { fewest_rows: 200, shortest_s: 1.0 };
 
-/// From which signal to which.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Pathway {
@@ -334,9 +333,6 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
 }
 
 /// The response of what was measured in `scenarios`, all of one plant.
-///
-/// # Errors
-/// No voltage, one that never changes, a record too short.
 pub fn frequency_response(
     scenarios: &[Scenario],
 ) -> Result<FrequencyResponse, FrequencyResponseError> {

@@ -5,6 +5,7 @@
 //! by the iteration of Sanathanan and Koerner 1963, refined by the weighted nonlinear least squares of Pintelon and
 //! Schoukens 2012, "System Identification: A Frequency Domain Approach", sections 9.8 and 9.11.
 
+use drivebench_model::numerics::least_squares::scaled_to_one;
 use nalgebra::{Complex, DMatrix, DVector};
 
 use drivebench_model::numerics::levenberg_marquardt::{Options, Problem, minimise};
@@ -210,14 +211,7 @@ impl Task {
                 right[2 * number] = known.re;
                 right[2 * number + 1] = known.im;
             }
-            let scales: Vec<f64> = matrix
-                .column_iter_mut()
-                .map(|mut column| {
-                    let norm = column.norm().max(f64::MIN_POSITIVE);
-                    column /= norm;
-                    norm
-                })
-                .collect();
+            let scales = scaled_to_one(&mut matrix);
             let factors = matrix.qr();
             let mut projected = right.clone();
             factors.q_tr_mul(&mut projected);

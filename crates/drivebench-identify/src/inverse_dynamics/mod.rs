@@ -17,6 +17,8 @@
 
 mod processing;
 
+use std::ops::Range;
+
 use nalgebra::{DMatrix, DVector};
 
 pub use self::processing::{Motion, Processing};
@@ -181,7 +183,6 @@ impl Case<'_> {
         }
     }
 
-    /// Why these rows cannot be solved, if they cannot.
     fn reason_against(&self, rows: &[Rows]) -> Option<String> {
         let unknowns = &self.unknowns;
         let lefts = || rows.iter().flat_map(|rows| rows.left.iter().copied());
@@ -483,16 +484,14 @@ struct Stretch {
     /// The one of the decimation.
     filter: Butterworth,
     /// Its samples among all.
-    from: usize,
-    to: usize,
-    /// Rows that the balance holds in, counted from `from`.
+    samples: Range<usize>,
+    /// Those of them in which the balance holds.
     valid: Vec<usize>,
 }
 
 impl Stretch {
-    /// Both sides pass the filter of the decimation; all terms are averaged over the span of the central difference.
-    fn averaged(&self, values: &[f64]) -> Vec<f64> {
-        let filtered = self.filter.zero_phase(&spanned(&values[self.from..self.to]));
+    fn kept(&self, values: &[f64]) -> Vec<f64> {
+        let filtered = self.filter.zero_phase(values);
         self.valid.iter().map(|row| filtered[*row]).collect()
     }
 }
@@ -534,8 +533,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         let valid = (0..speed.len()).filter(|k| valid[*k] && within(*k));
         let one = Stretch {
             filter: both_sides,
-            from: at.len(),
-            to: at.len() + speed.len(),
+            samples: at.len()..at.len() + speed.len(),
             valid: valid.collect(),
         };
         for (k, (&speed_rad_s, &drives)) in speed.iter().zip(&driving).enumerate() {
@@ -552,21 +550,19 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
                 ..constants
             });
         }
-        let kept = |values: &[f64]| -> Vec<f64> {
-            let filtered = one.filter.zero_phase(values);
-            one.valid.iter().map(|row| filtered[*row]).collect()
-        };
         let torque: Vec<f64> = driving.iter().map(|value| per_unit * value).collect();
-        left.extend(kept(&spanned(&torque)));
-        inertia.extend(kept(&rate(speed, part.period_s)));
+        left.extend(one.kept(&spanned(&torque)));
+        inertia.extend(one.kept(&rate(speed, part.period_s)));
         time_s.extend(one.valid.iter().map(|row| part.time_s(*row)));
         stretches.push(one);
     }
     if left.is_empty() || left.iter().chain(&inertia).any(|cell| !cell.is_finite()) {
         return None;
     }
+    // Over the span of the central difference, as the speed.
     let averaging = move |values: &[f64]| -> Vec<f64> {
-        (stretches.iter()).flat_map(|stretch| stretch.averaged(values)).collect()
+        let term = |own: &Stretch| own.kept(&spanned(&values[own.samples.clone()]));
+        stretches.iter().flat_map(term).collect()
     };
     Some(TorqueRows {
         method: Method::InverseDynamics,

@@ -11,7 +11,6 @@ use drivebench_model::plant::{Input, Scenario};
 use drivebench_model::sample::{Channel, Origin, Run};
 use drivebench_model::signal;
 
-/// The processing of both sides of a balance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Processing {
     pub motion: Motion,
@@ -76,7 +75,6 @@ impl Processing {
         }
     }
 
-    /// The same with half the cut-off.
     pub(super) fn at_half_cut_off(&self) -> Self {
         Self { cut_off_hz: 0.5 * self.cut_off_hz, decimation: 2 * self.decimation, ..self.clone() }
     }

@@ -132,7 +132,6 @@ pub(super) enum Mode {
     AtRest,
 }
 
-/// Where the current comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Source {
     /// Predicted from the voltage.
@@ -142,7 +141,6 @@ pub(super) enum Source {
     Current,
 }
 
-/// Counts of the rows.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Tally {
     pub(super) used: u64,

@@ -15,7 +15,6 @@ use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{Input, Model, MotorKey, Scenario, ScenarioError};
 use drivebench_model::sample::{Channel, Run, Sample};
 
-/// Load torque with its standard deviation at one instant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LoadPoint {
     pub time_s: f64,
@@ -24,7 +23,6 @@ pub struct LoadPoint {
     pub std_n_m: f64,
 }
 
-/// Why the load torque is not tracked.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum LoadError {
     #[error("the model has no {key}, which the load torque needs")]
@@ -164,7 +162,6 @@ const fn driving(input: Input) -> Channel {
     }
 }
 
-/// The load torque of a run.
 #[derive(Clone, Debug)]
 pub struct LoadTrace {
     pub points: Vec<LoadPoint>,
@@ -267,7 +264,6 @@ fn likeliest_rate(run: &Run, model: &Model, input: Input, size: f64) -> Result<f
 }
 
 impl LoadTrace {
-    /// Median standard deviation over the rows, N.m.
     pub fn median_std_n_m(&self) -> f64 {
         let stds: Vec<f64> = self.points.iter().map(|point| point.std_n_m).collect();
         statistics::median(&stds)

@@ -7,19 +7,6 @@ use crate::weak_form;
 use drivebench_model::plant::{Input, Model, MotorKey};
 use drivebench_model::sample::Run;
 
-/// A small brushed motor: L/R 0.5 ms, R J/Ke^2 19 ms.
-const BRUSHED: Truth = [1.2, 6e-4, 0.05, 4e-5, 0.012];
-
-fn brushed() -> Model {
-    Model::baseline(motor(&BRUSHED))
-}
-
-fn brushed_with(id: &str, values: &[f64]) -> Model {
-    let mut model = brushed().with_effect(id).unwrap();
-    model.effects[0].values = values.iter().copied().map(Some).collect();
-    model
-}
-
 /// Steps up to 12 V in both directions after a rest, sampled at 500 Hz; each falls on a sample.
 fn record_of(model: &Model, seconds: f64) -> Run {
     recorded(&scenario_of(model, seconds))
@@ -71,9 +58,9 @@ fn a_late_speed_is_no_settled_resistance() {
 
 #[test]
 fn parameters_that_an_effect_bends_are_not_settled_far_off() {
-    honest(&record_of(&brushed_with("viscous_friction", &[1.5e-5]), 30.0), &BRUSHED);
+    honest(&record_of(&with(&brushed(), "viscous_friction", &[1.5e-5]), 30.0), &BRUSHED);
     // The resistance itself changes: what it was is any of its values.
-    let heating = brushed_with("winding_heating", &[2e-3, 20.0]);
+    let heating = with(&brushed(), "winding_heating", &[2e-3, 20.0]);
     let mut known = BRUSHED;
     known[0] = f64::NAN;
     honest(&record_of(&heating, 20.0), &known);
@@ -97,7 +84,7 @@ fn balances_of(truth: &Model) -> [Vec<ParameterEstimate>; 2] {
 
 #[test]
 fn a_torque_balance_is_widened_where_it_lacks_a_form() {
-    let viscous = brushed_with("viscous_friction", &[1.5e-5]);
+    let viscous = with(&brushed(), "viscous_friction", &[1.5e-5]);
     let [before, after] = balances_of(&viscous).map(|found| of(&found, KEYS[4].key()).clone());
     assert!(!covers(&before, BRUSHED[4], 3.0), "{before:?}");
     assert_eq!(after.verdict, Verdict::Searching, "{after:?}");

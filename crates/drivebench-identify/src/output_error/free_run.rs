@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use super::FitError;
+use super::{FitError, cannot_simulate};
 use crate::noise::NoiseFloor;
 use crate::stamps;
 use drivebench_model::numerics::levenberg_marquardt::Problem;
@@ -149,6 +149,12 @@ impl<'a> FreeRun<'a> {
     /// `(sample, is_speed)` of every residual, in order.
     pub fn rows(&self) -> &[(usize, bool)] {
         &self.rows
+    }
+
+    /// All residuals at `x`.
+    pub fn residuals(&self, x: &[f64]) -> Result<Vec<f64>, FitError> {
+        let mut out = vec![0.0; self.residual_len()];
+        self.residual(x, &mut out).then_some(out).ok_or_else(|| cannot_simulate(self.scenario))
     }
 
     /// Coordinates of the model as it is.

@@ -15,7 +15,7 @@ use thiserror::Error;
 
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::least_squares::{clustered, inverse_where_determined};
-use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options, Problem as _};
+use drivebench_model::numerics::levenberg_marquardt::{self, Minimum, Options};
 use drivebench_model::numerics::statistics;
 use drivebench_model::plant::{
     Model, ModelError, ParameterRole, Scenario, Slot, State, Trajectory,
@@ -259,12 +259,7 @@ pub fn fit_delayed(
         let x = &found.minimum.x;
         let residual_at = |delay_s: f64| -> Result<DVector<f64>, FitError> {
             let problem = FreeRun::new(&with(&found.model, delay_s), scenario, *noise)?;
-            let mut out = vec![0.0; problem.residual_len()];
-            if problem.residual(x, &mut out) {
-                Ok(DVector::from_vec(out))
-            } else {
-                Err(cannot_simulate(scenario))
-            }
+            problem.residuals(x).map(DVector::from_vec)
         };
         let half_s = 0.02 * prior_s;
         let gradient =

@@ -194,7 +194,6 @@ impl MechanicalBalance {
         (self.fits.estimator.rows() >= FEWEST_ROWS && a > 0.0).then_some([a, b])
     }
 
-    /// Forgetting factor from the next row on.
     pub(super) fn set_forgetting(&mut self, forgetting: f64) {
         self.fits.estimator.set_forgetting(forgetting);
         self.fits.doubtful.set_forgetting(forgetting);

@@ -18,7 +18,6 @@ pub enum CurrentIntegral {
     Rectangle,
 }
 
-/// The estimator; feed it with [`Self::push`].
 #[derive(Clone, Debug)]
 pub struct Scheme2 {
     integral: CurrentIntegral,

@@ -9,7 +9,6 @@
 use super::winding::Winding;
 use drivebench_model::numerics::recursive_least_squares::{RecursiveLeastSquares, RowNoise};
 
-/// Standard deviations of the noise of one sample.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SampleNoise {
     pub(super) current_a: f64,
@@ -18,7 +17,6 @@ pub(super) struct SampleNoise {
     pub(super) by_stamp: f64,
 }
 
-/// One block.
 pub(super) struct Block<F: Fn(f64, &Winding, f64, [f64; 2]) -> f64> {
     /// Current at the end from Kt/J, the winding, the current at the begin and the errors of the first and the last speed.
     pub(super) predict: F,

@@ -10,7 +10,6 @@ use drivebench_model::signal::{Point, integral, pieces};
 /// R, L, Ke.
 pub(super) type Winding = [f64; 3];
 
-/// One sampling interval.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Interval<'a> {
     pub(super) begin_s: f64,
@@ -56,7 +55,6 @@ pub(super) fn propagate(
     (end, charge)
 }
 
-/// Integral of the held voltage over the interval, V.s.
 pub(super) fn voltage_integral(interval: &Interval<'_>) -> f64 {
     let end_s = interval.begin_s + interval.length_s;
     integral(interval.voltage, interval.begin_s, end_s)

@@ -5,7 +5,6 @@ use drivebench_model::plant::MotorKey;
 use drivebench_model::sample::Channel;
 use serde::Serialize;
 
-/// What a finding is of.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Fault {

@@ -41,7 +41,6 @@ use self::table::Table;
 use drivebench_model::plant::{Model, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Side};
 
-/// What sort of trouble a finding is about.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {

@@ -27,7 +27,6 @@ fn confused(
     Finding::refusal(Kind::Unit, Fault::Unit(fault))
 }
 
-/// Whether `ratio` is `factor` within a share.
 fn near(ratio: f64, factor: f64, tolerance: f64) -> bool {
     (ratio / factor - 1.0).abs() < tolerance
 }
@@ -364,7 +363,6 @@ pub fn any_unit(text: &str) -> Option<(&'static str, ColumnUnit)> {
     Some((row.0, ColumnUnit { name: row.2, factor: row.3 }))
 }
 
-/// Whether a text is the unit of any quantity.
 pub fn is_unit(text: &str) -> bool {
     any_unit(text).is_some()
 }

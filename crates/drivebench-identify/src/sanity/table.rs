@@ -70,7 +70,6 @@ impl Table {
         is_of_a_supply(&self.voltage_v)
     }
 
-    /// Median distance of the samples, s.
     pub(super) fn period_s(&self) -> f64 {
         median_step(&self.time_s)
     }
@@ -142,7 +141,6 @@ impl Activity {
         self.count > 0
     }
 
-    /// The same value in every cell.
     pub(super) fn is_constant(&self) -> bool {
         self.count > 0 && self.most <= self.least
     }
@@ -165,7 +163,6 @@ impl Activity {
     }
 }
 
-/// From the least to the largest value.
 pub(super) fn span(values: &[f64]) -> f64 {
     let (least, most) = extent(finite(values));
     most - least
@@ -224,7 +221,6 @@ impl<'a> Roles<'a> {
     }
 }
 
-/// A coefficient and its standard deviation.
 #[derive(Clone, Copy, Debug)]
 pub struct Coefficient {
     pub value: f64,

@@ -24,7 +24,6 @@ use super::step_response;
 use drivebench_model::plant::{ActiveEffect, Input, Model, ModelError, MotorKey, Scenario};
 use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run};
 
-/// What a scheme works on.
 #[derive(Clone, Copy, Debug)]
 pub struct Data<'a> {
     /// The record, row by row.
@@ -62,7 +61,6 @@ impl Data<'_> {
     }
 }
 
-/// What a scheme found.
 #[derive(Clone, Debug)]
 pub struct Identified {
     pub scheme: &'static str,
@@ -99,7 +97,6 @@ impl Identified {
     }
 }
 
-/// One method of identification.
 #[derive(Debug)]
 pub struct Scheme {
     id: &'static str,
@@ -230,7 +227,6 @@ fn guessed(active: &ActiveEffect) -> Vec<String> {
         .collect()
 }
 
-/// Why a scheme gives no answer at all.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum IdentifyError {
     #[error("scheme {id:?} is not known (allowed: {allowed})")]

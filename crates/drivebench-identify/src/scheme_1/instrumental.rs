@@ -37,7 +37,6 @@ pub struct Series<'a> {
     pub speed_rad_s: &'a [f64],
 }
 
-/// What the instrumental variables found.
 #[derive(Clone, Copy, Debug)]
 pub struct Instrumental {
     pub dynamics: Dynamics,

@@ -412,7 +412,6 @@ impl Scheme1 {
         }
     }
 
-    /// Rows taken so far.
     pub fn rows(&self) -> u64 {
         match &self.estimator {
             Estimator::Printed(estimator) => estimator.rows(),
