@@ -416,7 +416,7 @@ impl Plausibility {
             return None;
         }
         let since_s = *self.symptoms.stands_since_s.get_or_insert(last_s);
-        let longest_s = Settings::STANDING_S.max(Settings::LATENCY_CYCLES as f64 * row.seconds);
+        let longest_s = f64::max(0.5, Settings::LATENCY_CYCLES as f64 * row.seconds);
         let torque = plate.torque_n_m(row.current_a);
         let what = format!(
             "the shaft is locked, or the encoder stands still: {:.2} rad/s for {:.2} s under {:.2} A, which give {torque:.3} N.m where friction is {:.3} N.m by the nameplate; {longest_s:.2} s are allowed; check brake and load, turn the shaft by hand and watch the speed",

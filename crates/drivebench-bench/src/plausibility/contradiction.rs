@@ -147,13 +147,14 @@ impl Plausibility {
 
     /// A shaft that speeds up with the voltage and without a current.
     fn driven_without_current(&self, current: f64, speed: f64) -> Option<Trip> {
-        let (idle_a, most) = (self.idle_a(), Settings::DRIVEN_SPEED * self.scale.rad_s);
+        // More within 0.4 s than any load pulls the shaft.
+        let (idle_a, most) = (self.idle_a(), 0.08 * self.scale.rad_s);
         let (mut seconds, mut gain) = (0.0, 0.0);
         for row in self.history.rows().iter().rev() {
             let volts = row.volts?.middle();
             let drives = volts * speed > 0.0 && volts.abs() > self.rest_v();
             seconds += row.seconds;
-            if row.current_a.abs() > idle_a || !drives || seconds > Settings::DRIVEN_S {
+            if row.current_a.abs() > idle_a || !drives || seconds > 0.4 {
                 break;
             }
             gain += row.speed_change_rad_s * speed.signum();

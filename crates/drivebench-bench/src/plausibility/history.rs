@@ -132,7 +132,8 @@ impl History {
             let (from_a, to_a) = last.current_a.zip(now.current_a)?;
             let is_steady = steady(a, b)
                 && (to_a - from_a).abs() <= Settings::FOLLOWS * scale.amps
-                && set_point.width() <= Settings::STEADY_COMMAND * scale.amps;
+                // A loop gives several volts for each ampere.
+                && set_point.width() <= 0.03 * scale.amps;
             return is_steady.then(|| Range::new(a.min(b), a.max(b)));
         }
         let keys = last.key.zip(now.key)?;
@@ -182,7 +183,8 @@ impl History {
         let (from_a, to_a) = last.current_a.zip(now.current_a)?;
         let (from_rad_s, to_rad_s) = last.speed_rad_s.zip(now.speed_rad_s)?;
         let angles = last.angle_rad.zip(now.angle_rad);
-        (seconds > 0.0 && seconds < Settings::LONGEST_ROW_S).then(|| Row {
+        // Over a longer time a mean of two samples is no measurement.
+        (seconds > 0.0 && seconds < 0.5).then(|| Row {
             seconds,
             // A mean since the last read is that of the row.
             current_a: if now.sensors.averages_current { to_a } else { 0.5 * (from_a + to_a) },

@@ -113,12 +113,13 @@ impl Plausibility {
                     region = region.union(region.negative());
                 }
                 let measured = Some(current).filter(|_| has_room && !last.limited);
-                let confirm_s = Settings::CURRENT_FOLLOWS_S.max(latency_s);
+                let confirm_s = latency_s.max(0.4);
                 (measured, amps, confirm_s, "A")
             }
             _ => {
                 region = region.wider(Settings::FOLLOWS * self.scale.rad_s);
-                let confirm_s = Settings::SPEED_FOLLOWS_S.max(latency_s);
+                // With the unknown ramp of the drive.
+                let confirm_s = latency_s.max(2.0);
                 let measured = Some(speed).filter(|_| !last.limited);
                 (measured, self.scale.rad_s, confirm_s, "rad/s")
             }

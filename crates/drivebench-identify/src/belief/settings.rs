@@ -11,8 +11,6 @@ impl Settings {
     /// Rows of a window where the drive stamps its samples, and at the most: a fault has to be found in time.
     pub const STAMPED_ROWS: usize = 3;
     pub const MOST_ROWS: usize = 20;
-    /// Longest time between the two samples of a row, s: over a longer one a mean of the two is no measurement.
-    pub const LONGEST_ROW_S: f64 = 0.5;
     /// Consecutive windows that have to disagree: one may hold a disturbance.
     pub const CONFIRMING_WINDOWS: usize = 2;
     /// Factors by which any reading, or any value of the nameplate, may be off.
@@ -42,20 +40,10 @@ impl Settings {
     pub const UNEXPLAINED: f64 = 0.25;
     /// Deviation of a controlled quantity from its set-point, and its change between two samples of a steady state, share.
     pub const FOLLOWS: f64 = 0.1;
-    /// Change of its set-point in a steady state, share: a loop gives several volts for each ampere.
-    pub const STEADY_COMMAND: f64 = 0.03;
-    /// Time within which a set-point is followed, s: of a current, and of a speed, with the unknown ramp of the drive.
-    pub const CURRENT_FOLLOWS_S: f64 = 0.4;
-    pub const SPEED_FOLLOWS_S: f64 = 2.0;
     /// Duration of a contradiction without a current, s: a drive may be slow to switch its output on.
     pub const IDLE_S: f64 = 0.3;
-    /// A current of zero while the shaft speeds up by this share within this time, s, more than any load pulls it.
-    pub const DRIVEN_SPEED: f64 = 0.08;
-    pub const DRIVEN_S: f64 = 0.4;
     /// From this share of the rated current, or of its own limit, on a drive may limit without reporting it.
     pub const LIMITING_CURRENT: f64 = 0.85;
-    /// Duration of a standstill under a current that turns a free shaft, s.
-    pub const STANDING_S: f64 = 0.5;
     /// Readings equal to the bit while the back-EMF changes, and cycles of a runaway: three may be chance or latency.
     pub const REPEATED: usize = 4;
     /// Half-width of the interval of an estimate, in standard deviations.
