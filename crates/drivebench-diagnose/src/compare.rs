@@ -264,7 +264,7 @@ fn with_input(residual: &[(f64, f64)], scenario: &Scenario) -> Vec<(f64, f64)> {
 fn one_step_rmse(model: &Model, evidence: &Evidence) -> Result<[f64; 2], FitError> {
     let scenario = &evidence.training;
     let start = output_error::predict(model, scenario, &evidence.noise)?.start;
-    let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1);
+    let ahead = Plant::new(model, scenario.input)?.predict_ahead(scenario, start, 1, 0);
     let rmse = |predicted: &[f64], measured: &[f64]| {
         scored(predicted, measured, scenario).map_or(f64::NAN, |signal| signal.rmse)
     };
@@ -385,7 +385,7 @@ fn in_windows(model: &Model, scenario: &Scenario) -> Option<[SignalScore; 2]> {
     let mut speeds = scenario.speed_rad_s.iter().copied();
     let start = State::at(0.0, speeds.find(|speed| speed.is_finite())?);
     let mut figures = |horizon: usize| {
-        let ahead = plant.predict_ahead(scenario, start, horizon);
+        let ahead = plant.predict_ahead(scenario, start, horizon, 0);
         scored(&ahead.speed_rad_s, &scenario.speed_rad_s, scenario)
     };
     let found = figures(whole((SPEED_WINDOW_S / scenario.mean_period_s()).round()).max(1))?;

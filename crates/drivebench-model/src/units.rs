@@ -14,12 +14,10 @@ pub fn turns_from_rad(angle_rad: f64) -> f64 {
     angle_rad / TAU
 }
 
-/// Converts a back-EMF constant from V.s/rad to volts per 1000 r/min.
 pub fn v_per_krpm_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
     back_emf_v_s_per_rad * rad_s_from_rpm(1000.0)
 }
 
-/// Converts a back-EMF constant from V.s/rad to the speed constant in r/min per volt.
 pub fn rpm_per_v_from_v_s_per_rad(back_emf_v_s_per_rad: f64) -> f64 {
     rpm_from_rad_s(1.0 / back_emf_v_s_per_rad)
 }

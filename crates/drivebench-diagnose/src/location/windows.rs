@@ -218,7 +218,7 @@ impl<'a> Windows<'a> {
         let levels = [noise.current_a, noise.speed_rad_s].map(|level| known(level).unwrap_or(0.0));
         // Half of the windows begin in the middle of the others.
         for first in [0, half] {
-            let ahead = plant.predict_ahead_from(scenario, prediction.start, 2 * half, first);
+            let ahead = plant.predict_ahead(scenario, prediction.start, 2 * half, first);
             let begins = (first..scenario.samples().saturating_sub(2 * half)).step_by(2 * half);
             for begin in begins.filter(|begin| scenario.scored.contains(begin)) {
                 let range = begin..=begin + 2 * half;

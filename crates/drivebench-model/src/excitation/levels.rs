@@ -7,7 +7,6 @@ use super::error::{Refusal, duration, finite, refuse_unless};
 use super::piece::levels;
 use super::{Dither, Excitation, Piece, Target};
 
-/// Levels given one by one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Steps {
@@ -78,7 +77,6 @@ impl Excitation for Staircase {
     }
 }
 
-/// A straight line from one voltage to another.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ramp {

@@ -23,7 +23,6 @@ impl From<Output> for Demand {
     }
 }
 
-/// The time of one part of the sequence.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Span {
     /// `steps`, `steps 2`, ...; `ramp down` at the end.

@@ -54,17 +54,16 @@ pub fn rich(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Vec<Segment> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::excitation::{Output, Program};
+    use crate::excitation::Program;
+    use crate::sample::Demand;
 
     fn program(voltage_v: f64, slew_v_per_s: f64, seed: u64) -> Program {
         Program::new(&rich(voltage_v, slew_v_per_s, seed), slew_v_per_s).unwrap()
     }
 
     fn volts(program: &Program) -> Vec<f64> {
-        let volts = |tick: u32| match program.value_at(f64::from(tick) * 0.01) {
-            Output::Voltage(volts) => volts,
-            Output::Coast => 0.0,
-        };
+        let volts =
+            |tick: u32| Demand::from(program.value_at(f64::from(tick) * 0.01)).voltage_v().unwrap();
         (0..1200).map(volts).collect()
     }
 

@@ -65,7 +65,6 @@ pub fn solve_rows<const M: usize, const N: usize>(rows: &[[f64; M]]) -> Option<[
     Some(std::array::from_fn(|index| solution[index] / norms[index]))
 }
 
-/// Coefficients with their standard deviations.
 pub struct NormalFit<const N: usize> {
     pub x: [f64; N],
     pub std: [f64; N],

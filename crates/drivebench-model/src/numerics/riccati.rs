@@ -3,7 +3,6 @@
 
 use nalgebra::{SMatrix, SVector};
 
-/// A steady gain and how it was reached.
 #[derive(Clone, Debug)]
 pub struct Steady<const N: usize> {
     pub gain: SVector<f64, N>,

@@ -175,8 +175,8 @@ fn sign(of: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::numerics::statistics::largest;
-    use crate::plant::testing::{held, run_of};
-    use crate::plant::{ActiveEffect, Input, Model, Motor, Plant, Scenario, State, effect};
+    use crate::plant::testing::{held, run_of, with};
+    use crate::plant::{Input, Model, Motor, Plant, Scenario, State};
     use crate::sample::Origin;
 
     /// A ramp of 10 V a sample, limited by the drive to `30 + 2 k` V, and its commands.
@@ -298,8 +298,7 @@ mod tests {
             assert!(is_near, "{limit:?}");
             let mut model = Model::baseline(Motor::zk_22fc());
             if late_s > 0.0 {
-                let late = effect::find("start_delay").unwrap();
-                model.effects.push(ActiveEffect::with(late, &[late_s]));
+                model = with(&model, "start_delay", &[late_s]);
             }
             let mut plant = Plant::new(&model, Input::Voltage).unwrap();
             let found = plant.simulate(&scenario, State::default());

@@ -10,11 +10,9 @@ use crate::signal;
 pub struct RunScales {
     /// Stall current at the largest voltage; where a run does not determine the resistance, the largest measured current.
     pub current_a: f64,
-    /// Largest measured speed.
     pub speed_rad_s: f64,
     /// Time of response of the speed to the input: the mechanical time constant where a voltage drives.
     pub response_s: f64,
-    /// Time between samples.
     pub period_s: f64,
     pub length_s: f64,
 }

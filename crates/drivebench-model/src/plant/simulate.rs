@@ -36,7 +36,6 @@ use crate::numerics::statistics::largest;
 /// Longest sub-step with effects, in times of response: resolves voltage drops at current reversals and Stribeck friction at reversals.
 const LONGEST_STEP_WITH_EFFECTS: f64 = 0.0125;
 
-/// A simulated run at the scenario's sample times.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Trajectory {
     pub current_a: Vec<f64>,
@@ -66,7 +65,6 @@ pub struct SubStep {
     pub directions: [f64; 2],
 }
 
-/// A model compiled for simulation.
 pub struct Plant {
     equations: Equations,
     /// In the present run.
@@ -186,7 +184,7 @@ impl Plant {
     }
 
     pub fn effect_states(&self) -> usize {
-        self.equations.states()
+        self.equations.states
     }
 
     /// Simulates `scenario` from `start` (the state at its first input event) into `out`, whose memory is used again.
@@ -194,19 +192,9 @@ impl Plant {
         self.follow_into(scenario, start, out, |_, _, _| None);
     }
 
-    /// Predictions over `horizon` samples: after each horizon current and speed are set to the measured ones. A horizon of one
-    /// gives one-step predictions. States of effects are those of the simulation.
+    /// Predictions over `horizon` samples: at the samples `first`, `first + horizon`, ... current and speed are set to the measured ones.
+    /// A horizon of one gives one-step predictions. States of effects are those of the simulation.
     pub fn predict_ahead(
-        &mut self,
-        scenario: &Scenario,
-        start: State,
-        horizon: usize,
-    ) -> Trajectory {
-        self.predict_ahead_from(scenario, start, horizon, 0)
-    }
-
-    /// The same with the measurement set at the samples `first`, `first + horizon`, ...
-    pub fn predict_ahead_from(
         &mut self,
         scenario: &Scenario,
         start: State,
@@ -438,7 +426,7 @@ impl Plant {
             self.sub_step(state, at, h);
             return;
         }
-        let begin = (*state, self.two_mass.as_ref().map(|shaft| shaft.load()));
+        let begin = (*state, self.two_mass.as_ref().map(|shaft| shaft.load));
         self.sub_step(state, at, h);
         let pieces = self.steep.pieces(begin.0.current_a, state.current_a, h);
         if pieces == 1 {
@@ -446,7 +434,7 @@ impl Plant {
         }
         *state = begin.0;
         if let (Some(two_mass), Some(load)) = (&mut self.two_mass, begin.1) {
-            two_mass.set_load(load);
+            two_mass.load = load;
         }
         let piece_s = h / pieces as f64;
         for piece in 0..pieces {

@@ -5,7 +5,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
 
-use super::{ActiveEffect, Input, Model, Motor, MotorKey, Plant, Scenario, State, effect};
+use super::{ActiveEffect, Input, Model, Motor, MotorKey, Plant, Scenario, State};
 use crate::numerics::count::whole;
 use crate::sample::{Channel, Origin, Run};
 
@@ -57,6 +57,15 @@ pub fn scaled(run: &Scenario, [voltage, current, speed, time]: [f64; 4]) -> Scen
     scaled
 }
 
+/// The model with an effect of these values.
+#[must_use]
+pub fn with(model: &Model, id: &str, values: &[f64]) -> Model {
+    let mut model = model.with_effect(id).expect("it is in the catalogue");
+    let last = model.effects.len() - 1;
+    model.effects[last] = ActiveEffect::with(model.effects[last].effect, values);
+    model
+}
+
 /// A zero-order hold from its instants and levels: `(time, value)`.
 pub fn held<const N: usize>(times: [f64; N], levels: [f64; N]) -> Vec<(f64, f64)> {
     times.into_iter().zip(levels).collect()
@@ -98,9 +107,7 @@ pub fn with_rows_lost(scenario: &Scenario, lost: impl Fn(usize) -> bool) -> Run 
 
 /// Steps both ways of the motor of paper A with a fan on its shaft, from rest; `shift` makes another run of it.
 pub fn with_a_fan(shift: usize) -> Scenario {
-    let mut truth = Model::baseline(Motor::zk_22fc());
-    let fan = effect::find("quadratic_load").expect("it is in the catalogue");
-    truth.effects.push(ActiveEffect::with(fan, &[4e-6]));
+    let truth = with(&Model::baseline(Motor::zk_22fc()), "quadratic_load", &[4e-6]);
     let levels = [30.0, 90.0, 50.0, 3.0, -4.0, -40.0, -90.0, 60.0, -60.0, 20.0];
     let mut events = vec![(0.0, 0.0)];
     for step in 0..levels.len() {

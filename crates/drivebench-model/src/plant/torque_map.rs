@@ -86,7 +86,6 @@ impl MapBin {
     }
 }
 
-/// A measured torque over an even grid.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TorqueMap {
     pub torque: MappedTorque,

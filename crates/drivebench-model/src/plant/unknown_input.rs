@@ -49,16 +49,12 @@ pub(super) struct Rows<'a> {
 /// Lost rows up to which the currents before and after determine the voltage between, and up to which no restart is needed.
 const SHORT_HOLE: usize = 3;
 
-struct Settings {
-    /// Largest deviation of the time between rows from a multiple of the period, as a share of the period.
-    grid_tolerance: f64,
-    /// Nearest neighbours, by the change of the input, of which a variance is the mean.
-    neighbours: usize,
-    /// Fewest rows for an estimate of the period and for a prediction of the current.
-    fewest_rows: usize,
-}
-
-const SETTINGS: Settings = Settings { grid_tolerance: 0.1, neighbours: 50, fewest_rows: 100 };
+/// Largest deviation of the time between rows from a multiple of the period, as a share of the period.
+const GRID_TOLERANCE: f64 = 0.1;
+/// Nearest neighbours, by the change of the input, of which a variance is the mean.
+const NEIGHBOURS: usize = 50;
+/// Fewest rows for an estimate of the period and for a prediction of the current.
+const FEWEST_ROWS: usize = 100;
 
 impl UnknownInput {
     /// The time between two concatenated runs: zero input, and a restart of the simulation after it.
@@ -116,7 +112,7 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
         let mut course = intervals.course(row, row + 1, rows);
         let mut error = expected(course.basis);
         // The line is better than a course without enough complete intervals, and than a corner whose error is not smaller.
-        let line = if errors[course.basis as usize].0.len() < SETTINGS.neighbours {
+        let line = if errors[course.basis as usize].0.len() < NEIGHBOURS {
             Some(Basis::Ends)
         } else {
             let is_worse = || error.total() >= expected(Basis::LineForCorner).total();
@@ -163,18 +159,17 @@ pub(super) fn find(record: &Rows<'_>) -> Vec<UnknownInput> {
 fn lost_rows(record: &Rows<'_>) -> Option<(f64, Vec<usize>)> {
     let input = record.input;
     let steps: Vec<f64> = input.windows(2).map(|pair| pair[1].0 - pair[0].0).collect();
-    if steps.len() < SETTINGS.fewest_rows {
+    if steps.len() < FEWEST_ROWS {
         return None;
     }
     let (period_s, multiples) = schedule(&steps);
     let share = |count: usize| count as f64 / steps.len() as f64;
-    let is_on_the_grid = |(step, multiple): &(&f64, &f64)| {
-        (*step / period_s - *multiple).abs() <= SETTINGS.grid_tolerance
-    };
+    let is_on_the_grid =
+        |(step, multiple): &(&f64, &f64)| (*step / period_s - *multiple).abs() <= GRID_TOLERANCE;
     let on_the_grid = steps.iter().zip(&multiples).filter(is_on_the_grid).count();
     let is_single = |multiple: &&f64| **multiple <= 1.0;
     let single = multiples.iter().filter(is_single).count();
-    let own_rows = (record.sample_period_s / period_s - 1.0).abs() > SETTINGS.grid_tolerance;
+    let own_rows = (record.sample_period_s / period_s - 1.0).abs() > GRID_TOLERANCE;
     // The period of a software loop is a multiple of a millisecond from row to row; a clock has a schedule, with rounded stamps or
     // with polls up to a quarter of a period late.
     let rounded_s = coarse_resolution_s(&steps, period_s);
@@ -229,7 +224,7 @@ fn coarse_resolution_s(steps: &[f64], period_s: f64) -> Option<f64> {
         a
     };
     let resolution_s = steps.iter().copied().fold(0.0, divisor);
-    let coarse_s = SETTINGS.grid_tolerance * period_s..(1.0 - SETTINGS.grid_tolerance) * period_s;
+    let coarse_s = GRID_TOLERANCE * period_s..(1.0 - GRID_TOLERANCE) * period_s;
     coarse_s.contains(&resolution_s).then_some(resolution_s)
 }
 
@@ -364,7 +359,7 @@ impl IntervalErrors {
     /// Mean over the nearest neighbours of the change; with too few intervals that of one edge at a uniformly distributed instant.
     fn expected(&self, change: f64, rows: usize) -> SquareErrors {
         let intervals = &self.0;
-        if intervals.len() < SETTINGS.neighbours {
+        if intervals.len() < NEIGHBOURS {
             let n = rows as f64;
             return SquareErrors {
                 of_mean: change.powi(2) * (n + 2.0) / (12.0 * n),
@@ -374,11 +369,11 @@ impl IntervalErrors {
         let first = intervals.partition_point(|interval| interval.0 < change);
         let end = intervals.partition_point(|interval| interval.0 <= change);
         // Changes that are equal to the bit are the nearest neighbours, where they are enough.
-        let nearest = if end - first >= SETTINGS.neighbours {
+        let nearest = if end - first >= NEIGHBOURS {
             &intervals[first..end]
         } else {
-            let begin = first.saturating_sub(SETTINGS.neighbours / 2);
-            &intervals[begin..end.max(begin + SETTINGS.neighbours).min(intervals.len())]
+            let begin = first.saturating_sub(NEIGHBOURS / 2);
+            &intervals[begin..end.max(begin + NEIGHBOURS).min(intervals.len())]
         };
         let mean_of = |of: fn(&SquareErrors) -> f64| {
             nearest.iter().map(|interval| of(&interval.1)).sum::<f64>() / nearest.len() as f64
@@ -540,7 +535,7 @@ impl Winding {
                 all.then_some((x, next_i))
             })
             .collect();
-        if rows.len() < SETTINGS.fewest_rows {
+        if rows.len() < FEWEST_ROWS {
             return None;
         }
         let (mut normal, mut right) = (SMatrix::<f64, 3, 3>::zeros(), SVector::<f64, 3>::zeros());

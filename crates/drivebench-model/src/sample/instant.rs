@@ -77,9 +77,7 @@ pub struct Sample {
     pub state: Option<DriveState>,
     /// The drive's status word as read.
     pub status: Option<u16>,
-    /// The drive's fault code, if it is in fault.
     pub fault: Option<u16>,
-    /// Its description, where one is known.
     pub fault_text: Option<Arc<str>>,
     /// Reason for which the drive does not follow, where it reports one.
     pub hindrance: Option<Hindrance>,
@@ -91,7 +89,6 @@ pub struct Sample {
     pub sensors: Sensors,
     /// Field current of a motor with a separate field, where the drive's profile maps it, A.
     pub field_a: Option<f64>,
-    /// The last command that the drive applied, and when.
     pub applied: Option<Applied>,
     values: [Option<f64>; Channel::COUNT],
     stale: [bool; Channel::COUNT],

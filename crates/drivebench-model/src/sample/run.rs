@@ -35,7 +35,6 @@ impl Origin {
     }
 }
 
-/// Side of the drive's power stage at which a voltage or current is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Side {
@@ -163,12 +162,10 @@ impl Run {
         self.origins[channel.index()] = origin;
     }
 
-    /// Sets the side of the power stage at which a voltage or current is measured.
     pub fn set_side(&mut self, channel: Channel, side: Side) {
         self.sides[channel.index()] = Some(side);
     }
 
-    /// Sets the rows, in order, at which a limit of the drive was active.
     pub fn set_limited_rows(&mut self, rows: Vec<usize>) {
         self.limited_rows = rows;
     }
@@ -187,7 +184,6 @@ impl Run {
         self.sensors
     }
 
-    /// Sets the rows, in order, with a command that the drive did not confirm.
     pub fn set_unconfirmed_rows(&mut self, rows: Vec<usize>) {
         self.unconfirmed_rows = rows;
     }

@@ -3,10 +3,11 @@
 use super::{Card, Enters, Instant, Limit, Measure, ParameterSpec, Place, Terms};
 
 /// Time constant of the lag. One of more than a sixth of the run does not die out in it, and is as well a drift or what begins.
-pub(super) const LAG: ParameterSpec =
-    ParameterSpec::shape("time_constant_s", "s", (0.01, 60.0), &[0.1, 0.3, 1.0, 3.0])
-        .of(Measure::Response)
-        .up_to_share_of_length(1.0 / 6.0);
+pub(super) const LAG: ParameterSpec = ParameterSpec {
+    of: Measure::Response,
+    most_of_length: 1.0 / 6.0,
+    ..ParameterSpec::shape("time_constant_s", "s", (0.01, 60.0), &[0.1, 0.3, 1.0, 3.0])
+};
 /// Behind a shorter lag the load is there at once: a step of the speed takes as long.
 pub(super) const LEAST_LAG_S: f64 = 0.02;
 

@@ -109,7 +109,6 @@ pub fn find(id: &str) -> Option<&'static dyn Effect> {
     CATALOGUE.iter().copied().find(|effect| effect.card().id == id)
 }
 
-/// An equation of the baseline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Balance {
     Voltage,

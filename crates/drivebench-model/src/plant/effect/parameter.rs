@@ -70,10 +70,6 @@ impl ParameterSpec {
         Self { of, ..self }
     }
 
-    pub(super) const fn up_to_share_of_length(self, most_of_length: f64) -> Self {
-        Self { most_of_length, ..self }
-    }
-
     /// A positive shape parameter within bounds, fitted as a logarithm.
     pub const fn shape(
         key: &'static str,
@@ -173,9 +169,7 @@ impl ParameterSpec {
 pub struct SearchRange {
     pub min: f64,
     pub max: f64,
-    /// Unit of a fit.
     pub scale: f64,
-    /// Default start of a fit.
     pub guess: f64,
     grid: &'static [f64],
     factor: f64,

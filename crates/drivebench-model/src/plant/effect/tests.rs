@@ -89,7 +89,6 @@ fn added(effect: &dyn Effect, share: f64) -> [f64; 5] {
     terms.sums(&instant(), &vec![2.0; terms.states()]).all()
 }
 
-/// The path of command and measurement.
 fn path_of(effect: &dyn Effect, share: f64) -> [f64; 8] {
     let path = effect.terms(&sized(effect, share)).path();
     [

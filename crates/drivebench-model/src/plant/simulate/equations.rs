@@ -101,7 +101,7 @@ pub(super) struct Equations {
     per_volt: f64,
     /// Effects that enter a balance.
     terms: Vec<Entry>,
-    states: usize,
+    pub(super) states: usize,
     pub(super) path: Path,
     own_path: Path,
     /// Of the link, in a run with stamps of the host.
@@ -195,10 +195,6 @@ impl Equations {
 
     pub(super) fn is_linear(&self) -> bool {
         self.terms.is_empty()
-    }
-
-    pub(super) const fn states(&self) -> usize {
-        self.states
     }
 
     fn sums(&self, state: &State, at: &Instant) -> Sums {
@@ -310,7 +306,6 @@ impl Equations {
         angle.unwrap_or_default()
     }
 
-    /// The instant `at` with the state and the motor.
     fn instant(&self, state: &State, at: &Instant) -> Instant {
         Instant {
             time_s: at.time_s,

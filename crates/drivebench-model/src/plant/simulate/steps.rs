@@ -2,7 +2,6 @@
 
 use crate::plant::propagator::{LinearPart, M2, Propagator};
 
-/// Propagators over one step and over half of it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Step<P = Propagator> {
     pub(super) length_s: f64,

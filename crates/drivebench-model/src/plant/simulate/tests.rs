@@ -1,7 +1,7 @@
 use super::*;
 use crate::numerics::statistics::largest;
 use crate::plant::testing::{self, held};
-use crate::plant::{ActiveEffect, Model, Motor, effect};
+use crate::plant::{Model, Motor};
 use crate::sample::Channel;
 use crate::signal;
 
@@ -19,18 +19,14 @@ pub(super) fn scenario(events: Vec<(f64, f64)>, period_s: f64, samples: usize) -
 }
 
 pub(super) fn model(effects: Effects<'_>) -> Model {
-    let mut model = Model::baseline(Motor::zk_22fc());
-    let known =
-        |(id, values): &(&str, &[f64])| ActiveEffect::with(effect::find(id).unwrap(), values);
-    model.effects = effects.iter().map(known).collect();
-    model
+    let plain = Model::baseline(Motor::zk_22fc());
+    effects.iter().fold(plain, |model, (id, values)| testing::with(&model, id, values))
 }
 
 pub(super) fn simulate(model: &Model, scenario: &Scenario) -> Trajectory {
     Plant::new(model, scenario.input).unwrap().simulate(scenario, State::default())
 }
 
-/// The motor of paper A with these effects under these voltages, from rest.
 pub(super) fn simulated(
     effects: Effects<'_>,
     events: Vec<(f64, f64)>,
@@ -40,7 +36,6 @@ pub(super) fn simulated(
     simulate(&model(effects), &scenario(events, period_s, samples))
 }
 
-/// Largest differences of current and speed.
 pub(super) fn differences(one: &Trajectory, other: &Trajectory) -> [f64; 2] {
     let most = |a: &[f64], b: &[f64]| largest(a.iter().zip(b).map(|(a, b)| a - b));
     [most(&one.current_a, &other.current_a), most(&one.speed_rad_s, &other.speed_rad_s)]
@@ -177,7 +172,7 @@ fn one_step_predictions_behind_slow_sensors_err_by_the_noise() {
         let model = model(effects);
         let run = testing::record(&model, events.clone(), 0.001, 1.0, 7);
         let mut plant = Plant::new(&model, Input::Voltage).unwrap();
-        let ahead = plant.predict_ahead(&run, State::default(), 1);
+        let ahead = plant.predict_ahead(&run, State::default(), 1, 0);
         let rms = |one: &[f64], other: &[f64]| {
             let squares: f64 = one.iter().zip(other).map(|(a, b)| (a - b).powi(2)).sum();
             (squares / one.len() as f64).sqrt()

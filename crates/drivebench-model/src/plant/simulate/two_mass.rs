@@ -62,7 +62,6 @@ enum Side {
 
 const SIDES: [Side; 3] = [Side::Motor, Side::Load, Side::Play];
 
-/// State and forcing at the beginning of a step.
 struct Begin {
     motor: State,
     load: Load,
@@ -78,7 +77,6 @@ impl Begin {
     }
 }
 
-/// Shaft and load of a model made ready for simulation.
 pub(super) struct TwoMass {
     /// k over the natural frequency, and d: shaft torque per twist and per difference of the speeds.
     stiffness: f64,
@@ -90,7 +88,7 @@ pub(super) struct TwoMass {
     half_play_rad_s: f64,
     /// By motor stuck, load stuck, contact.
     flows: [Flow; 8],
-    load: Load,
+    pub(super) load: Load,
 }
 
 impl TwoMass {
@@ -158,15 +156,6 @@ impl TwoMass {
             self.load.speed_rad_s += change_rad_s;
             self.load.mode = Mode::Undecided;
         }
-    }
-
-    /// The state of the load side, for a repeated step.
-    pub(super) const fn load(&self) -> Load {
-        self.load
-    }
-
-    pub(super) const fn set_load(&mut self, load: Load) {
-        self.load = load;
     }
 
     /// One sub-step with its changes of mode.

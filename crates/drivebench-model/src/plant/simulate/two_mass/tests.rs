@@ -225,10 +225,10 @@ fn one_step_predictions_of_its_own_motion_are_its_own_motion() {
     measured.current_a.clone_from(&free.current_a);
     measured.speed_rad_s.clone_from(&free.speed_rad_s);
     let mut plant = Plant::new(&model(effects), Input::Voltage).unwrap();
-    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1), 1e-6);
+    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1, 0), 1e-6);
     // Noise on the measurement stays of its size: the load does not run away from the motor.
     for (speed, noise) in measured.speed_rad_s.iter_mut().zip([0.1, -0.1].into_iter().cycle()) {
         *speed += noise;
     }
-    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1), 0.8);
+    assert_near(&free, &plant.predict_ahead(&measured, State::default(), 1, 0), 0.8);
 }
