@@ -74,7 +74,8 @@ pub(super) struct LoadEstimator {
     continues: bool,
     change: ChangeWatch,
     detects_change: bool,
-    jumps: u32,
+    /// Changes of the load so far.
+    pub(super) jumps: u32,
 }
 
 impl LoadEstimator {
@@ -115,11 +116,6 @@ impl LoadEstimator {
         // Of more periods the twist would count less against the change of the mean speed, but rows would be fewer.
         self.span_s = 2.0 * period_s;
         self.without_change_detection()
-    }
-
-    /// Changes of the load so far.
-    pub(super) const fn jumps(&self) -> u32 {
-        self.jumps
     }
 
     /// One sample; `current_a` is `None` where it is missing. Returns whether the estimate was updated.
@@ -243,7 +239,7 @@ mod tests {
             assert!(after.settled);
             assert_close(after.acceleration_per_a * ratio / 15.0, 1.0, 0.05);
             // Detected as a jump, not followed by forgetting.
-            assert!(estimator.jumps() >= 1);
+            assert!(estimator.jumps >= 1);
             let soon = found.iter().find(|(t, _)| *t >= 4.8).unwrap().1;
             assert_close(soon.acceleration_per_a * ratio / 15.0, 1.0, 0.2);
         }
@@ -277,7 +273,7 @@ mod tests {
         follow(&mut estimator, |_| 15.0, |_| 20.0 / 15.0, 60.0);
         let drift = estimator.load().acceleration_per_a / before.acceleration_per_a - 1.0;
         assert!(drift.abs() < 0.05, "{drift}");
-        assert_eq!(estimator.jumps(), 0);
+        assert_eq!(estimator.jumps, 0);
     }
 
     #[test]

@@ -25,7 +25,6 @@ pub struct AddcSettings {
     /// Standard deviation of a speed sample, rad/s.
     pub noise_rad_s: f64,
     pub holding: Holding,
-    /// Draws over the uncertainty of the plant.
     pub draws: Vec<LinearPlant>,
 }
 
@@ -166,7 +165,7 @@ impl Addc {
             wanted = electrical.at(wanted, lightest, middle);
         }
         let now = *self.pi.gains();
-        let proportional = self.pi.share() * wanted.gains.proportional;
+        let proportional = self.pi.share * wanted.gains.proportional;
         let change = proportional / now.proportional;
         let outside = now.proportional > wanted.most_proportional;
         // Noise changes no gain.
@@ -233,7 +232,7 @@ impl SpeedController for Addc {
     fn gain_change(&mut self) -> Option<String> {
         let gains = self.pi.gains();
         let (logged_proportional, logged_ratio, logged_jumps) = self.logged;
-        let jumps = self.estimator.jumps();
+        let jumps = self.estimator.jumps;
         // One line for a change that takes some cycles, at its end.
         let has_changed = |now: f64, logged: f64| (now / logged - 1.0).abs() > 0.01;
         let arrived = !self.moved && has_changed(gains.proportional, logged_proportional);

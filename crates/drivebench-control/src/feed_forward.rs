@@ -403,7 +403,7 @@ impl SpeedController for Compensated {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{Fixed, assert_close, limiter, machine, pi_gains};
+    use crate::testing::{Fixed, assert_close, limiter, machine, pi_gains, with};
     use crate::{AntiWindup, Holding, Pi, TrialInputs, TrialPoint, trial};
     use drivebench_model::plant::{MapBin, MappedValue, Motor};
 
@@ -414,9 +414,7 @@ mod tests {
     }
 
     fn model(id: &str, values: &[f64]) -> Model {
-        let mut model = plain().with_effect(id).unwrap();
-        model.effects[0].values = values.iter().copied().map(Some).collect();
-        model
+        with(&plain(), id, values)
     }
 
     fn forward(model: &Model, actuator: Actuator) -> FeedForward {
@@ -527,9 +525,7 @@ mod tests {
             |speed: f64| (speed.abs() < 50.0).then(|| 0.3 * speed.signum() + 0.002 * speed);
         let cogging = |angle: f64| Some(0.1 * (7.0 * angle).cos());
         let maps = [map(MappedTorque::Friction, friction), map(MappedTorque::Cogging, cogging)];
-        let mut mapped = model("quadratic_load", &[2e-6]);
-        mapped.effects.extend(plain().with_effect("cogging").unwrap().effects);
-        mapped.effects[1].values = vec![Some(0.0), Some(0.5), Some(3.0)];
+        let mapped = with(&model("quadratic_load", &[2e-6]), "cogging", &[0.0, 0.5, 3.0]);
         let forward = FeedForward::new(&mapped, &maps, Actuator::Current, &TIMING, 10.0).unwrap();
         let torque = |speed, angle| 0.3538 * at(&forward, speed, angle);
         let measured = |speed: f64| 0.3 * speed.signum() + 0.002 * speed;

@@ -413,8 +413,8 @@ mod tests {
         }
         let elastic = LinearPlant::voltage(&testing::elastic(0.4, 0.02), 0.0).unwrap();
         assert_eq!(elastic.uncoupled(), None);
-        let mut loose = testing::model(0.0045).with_effect("backlash").unwrap();
-        loose.effects[0].values = [0.02, 40.0, 0.4, 0.05, 0.5].map(Some).to_vec();
+        let values = [0.02, 40.0, 0.4, 0.05, 0.5];
+        let loose = testing::with(&testing::model(0.0045), "backlash", &values);
         let alone = LinearPlant::voltage(&loose, 0.0).unwrap().uncoupled().unwrap();
         assert_close(alone.a[(1, 0)], testing::plant(0.6 * 0.0045).a[(1, 0)], 1e-12);
         assert_eq!(alone.states(), 2);

@@ -66,7 +66,6 @@ pub struct StepPoint {
     pub high: Option<f64>,
 }
 
-/// A plant, its delays and a PI regulator, closed to a loop.
 #[derive(Clone, Debug)]
 pub struct LoopShape {
     gains: PiGains,

@@ -72,7 +72,6 @@ fn follow(
     trial(machine, &inputs, controller, &limiter(&timing()), cycles, 1)
 }
 
-/// Responses to each step of a square wave.
 fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
     let rows = whole((half_s / PERIOD_S).round());
     let of = |chunk: &[TrialPoint]| {

@@ -27,7 +27,7 @@ pub enum AntiWindup {
 pub struct Pi {
     gains: PiGains,
     /// Of the tuned proportional gain.
-    share: f64,
+    pub(super) share: f64,
     anti_windup: AntiWindup,
     holding: Holding,
     /// From a sample to the end of its limited output, s.
@@ -77,11 +77,6 @@ impl Pi {
 
     pub const fn gains(&self) -> &PiGains {
         &self.gains
-    }
-
-    /// Of the tuned proportional gain.
-    pub(super) const fn share(&self) -> f64 {
-        self.share
     }
 
     /// A reduced share as text after the gain.

@@ -6,6 +6,7 @@ use super::{
     CurrentLimit, Limiter, LinearPlant, LoopTiming, Measured, PiGains, SpeedController,
     TrialMachine,
 };
+pub(super) use drivebench_model::plant::testing::with;
 use drivebench_model::plant::{Model, Motor, MotorKey};
 
 /// Equal to `tolerance`, relative to the larger of both where that is above one.
@@ -27,9 +28,7 @@ pub(super) fn model(inertia_kg_m2: f64) -> Model {
 
 /// The paper's motor with this share of its inertia behind a coupling of 22 Hz.
 pub(super) fn elastic(inertia_ratio: f64, damping_ratio: f64) -> Model {
-    let mut model = model(0.0045).with_effect("elastic_coupling").unwrap();
-    model.effects[0].values = [22.0, inertia_ratio, damping_ratio, 0.5].map(Some).to_vec();
-    model
+    with(&model(0.0045), "elastic_coupling", &[22.0, inertia_ratio, damping_ratio, 0.5])
 }
 
 pub(super) fn plant(inertia_kg_m2: f64) -> LinearPlant {

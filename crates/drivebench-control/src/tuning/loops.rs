@@ -6,7 +6,7 @@ use super::{Draws, is_safe};
 use crate::{LinearPlant, LoopShape, LoopTiming, Margins, PiGains};
 
 /// A loop and, where its coupling has backlash, that of the motor alone within it, which only has to be stable.
-struct ClosedLoop {
+pub(super) struct ClosedLoop {
     coupled: LoopShape,
     uncoupled: Option<LoopShape>,
 }
@@ -35,7 +35,7 @@ impl ClosedLoop {
 
 pub(super) struct Loops {
     nominal: ClosedLoop,
-    draws: Vec<ClosedLoop>,
+    pub(super) draws: Vec<ClosedLoop>,
     /// Order in which draws are checked: the one that failed last comes first.
     order: RefCell<Vec<usize>>,
 }
@@ -47,10 +47,6 @@ impl Loops {
             draws: draws.iter().map(|plant| ClosedLoop::new(plant, timing)).collect(),
             order: RefCell::new((0..draws.len()).collect()),
         }
-    }
-
-    pub(super) const fn count(&self) -> usize {
-        self.draws.len()
     }
 
     pub(super) fn nominal(&self, gains: &PiGains) -> LoopShape {

@@ -443,7 +443,7 @@ impl Task<'_> {
                         "the rule alone left less than {} degrees or a gain margin below {}{behind}{}: its small time constant is taken {slower:.2} times as large",
                         LEAST_MARGINS.0,
                         LEAST_MARGINS.1,
-                        of_draws(self.loops.count())
+                        of_draws(self.loops.draws.len())
                     ));
                 }
                 return Ok(found);

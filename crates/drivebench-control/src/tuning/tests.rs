@@ -172,9 +172,8 @@ fn draws_without_common_gains_are_refused_with_their_number() {
 
 #[test]
 fn a_motor_within_its_backlash_is_stable_too() {
-    let mut model = testing::model(0.0045).with_effect("backlash").unwrap();
     // Nine tenths of the inertia are behind the backlash: alone the motor is ten times as quick.
-    model.effects[0].values = [0.02, 60.0, 0.9, 0.1, 0.5].map(Some).to_vec();
+    let model = with(&testing::model(0.0045), "backlash", &[0.02, 60.0, 0.9, 0.1, 0.5]);
     let loose = LinearPlant::current(&model, 0.0, 0.002).unwrap();
     let alone = |plant: &LinearPlant| {
         let tuning = tune(plant, &timing(2.0), &request(Rule::SymmetricalOptimum)).unwrap();
