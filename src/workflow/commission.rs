@@ -559,7 +559,7 @@ impl Escalate {
         self.escalation.learn(run)?;
         let stage = self.escalation.history().last().cloned();
         let record = StageRecord {
-            stage: stage.unwrap_or_else(StageResult::nothing),
+            stage: stage.unwrap_or_default(),
             reason: reason.unwrap_or_default(),
             folder,
         };

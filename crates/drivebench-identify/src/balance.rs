@@ -119,7 +119,6 @@ pub(super) fn unknowns(
         .collect()
 }
 
-/// Signals of one balance at the samples.
 pub(super) struct Signals<'a> {
     pub(super) model: &'a Model,
     pub(super) equation: Balance,
@@ -226,7 +225,6 @@ pub fn has_both_power_flows(energies_j: impl Iterator<Item = f64>) -> bool {
     braking > 0.03 * (driving + braking)
 }
 
-/// Method by which the derivative in the torque balance is avoided or estimated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {

@@ -48,7 +48,6 @@ pub struct Change {
 }
 
 findings! {
-    /// Statement on the change of one parameter.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum DriftFinding {
         Drifted = "drifted",
@@ -170,7 +169,6 @@ impl Drift {
     }
 }
 
-/// The values of one parameter at one date.
 struct Sample {
     values: Vec<f64>,
     /// Mean variance of one fit.

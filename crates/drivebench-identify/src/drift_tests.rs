@@ -22,7 +22,6 @@ fn run(values: &[(&str, f64, f64)]) -> Vec<ParameterEstimate> {
     found.collect()
 }
 
-/// A run of this friction.
 fn with_friction(torque: f64, std: f64) -> Vec<ParameterEstimate> {
     run(&[(FRICTION, torque, std)])
 }
@@ -184,7 +183,6 @@ fn a_temperature_that_is_known_is_no_drift() {
     assert!((kelvin - 49.0).abs() < 0.5, "{kelvin}");
 }
 
-/// The estimates from a simulated run of this motor.
 fn identified(motor: &Motor, seed: u64) -> Vec<ParameterEstimate> {
     let levels = [0.0, 40.0, 70.0, -50.0, 20.0, -80.0, 60.0, -30.0];
     let events = levels.into_iter().enumerate().map(|(k, level)| (0.5 * k as f64, level)).collect();

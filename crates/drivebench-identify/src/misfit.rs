@@ -38,7 +38,6 @@ pub enum NoiseFrom {
     Roughness,
 }
 
-/// Residual of one signal.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Left {
     pub signal: &'static str,

@@ -25,7 +25,6 @@ pub enum Fits {
     NotTold,
 }
 
-/// One key of the nameplate with its estimate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
     pub key: &'static str,
@@ -42,7 +41,6 @@ pub struct Row {
 }
 
 findings! {
-    /// What is known of one key.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum RowFinding {
         Fits = "fits",
@@ -117,7 +115,6 @@ findings! {
     }
 }
 
-/// The whole nameplate.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Comparison {
     /// No observable value differs.
@@ -125,7 +122,6 @@ pub struct Comparison {
     /// Relative tolerance in addition to the uncertainty.
     pub tolerance: f64,
     pub rows: Vec<Row>,
-    /// Possible causes of the differences.
     #[serde(rename = "cause_codes")]
     pub causes: Vec<NameplateCause>,
     #[serde(rename = "doubt_code", skip_serializing_if = "Option::is_none")]
@@ -133,7 +129,6 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// The values that do not fit.
     pub fn differences(&self) -> impl Iterator<Item = &Row> {
         self.rows.iter().filter(|row| row.fits == Fits::No)
     }

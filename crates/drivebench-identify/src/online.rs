@@ -48,7 +48,6 @@ impl AppliedVoltage {
     }
 }
 
-/// On-line identification by schemes 2 and 3.
 #[derive(Clone, Debug)]
 pub struct Online {
     scheme_2: Scheme2,

@@ -16,7 +16,6 @@ fn regular(events: Vec<(f64, f64)>, period_s: f64, seconds: f64) -> Record {
     Record::of(&paper(), events, every(period_s, seconds))
 }
 
-/// Feeds everything in the order of time, commands as rows of their own.
 fn feed(record: &Record, online: &mut Online, [current, speed]: &[Vec<f64>; 2]) {
     in_order(&record.events, &record.times, [current, speed], |sample| {
         online.push(&sample);
@@ -37,12 +36,6 @@ fn run_noisy(record: &Record, seed: u64) -> Online {
     online
 }
 
-#[track_caller]
-fn finds(name: &str, online: &Online, truth: &Truth, within: f64) {
-    let errors = errors(&online.estimates(), truth);
-    assert!(errors.iter().all(|e| e.abs() < within), "{name} {errors:?}");
-}
-
 #[test]
 fn without_noise_every_parameter_is_found() {
     for (name, truth, scale, period_s, within) in [
@@ -55,7 +48,12 @@ fn without_noise_every_parameter_is_found() {
     ] {
         let events = testing::steps(0.3037, 6.0, scale, 0.0613);
         let bench = Record::of(&Model::baseline(motor(&truth)), events, every(period_s, 6.0));
-        finds(&format!("{name} {period_s}"), &run(&bench, OnlineConfig::default()), &truth, within);
+        assert_all(
+            &format!("{name} {period_s}"),
+            &run(&bench, OnlineConfig::default()).estimates(),
+            &truth,
+            within,
+        );
     }
 }
 
@@ -93,14 +91,14 @@ fn a_wrong_first_guess_is_left_and_a_changed_motor_followed() {
     let changed = Model::baseline(motor(&hot));
     for period_s in [0.001, 0.01] {
         let online = run(&regular(steps(12.0), period_s, 12.0), config);
-        finds("far start", &online, &PAPER, 0.02);
+        assert_all("far start", &online.estimates(), &PAPER, 0.02);
         let mut online = run(&regular(steps(4.0), period_s, 4.0), OnlineConfig::default());
         let mut bench = Record::of(&changed, steps(8.0), every(period_s, 8.0));
         bench.times.iter_mut().for_each(|t| *t += 5.0);
         bench.events.iter_mut().for_each(|e| e.0 += 5.0);
         let read = [bench.current.clone(), bench.speed.clone()];
         feed(&bench, &mut online, &read);
-        finds("changed", &online, &hot, 0.05);
+        assert_all("changed", &online.estimates(), &hot, 0.05);
     }
 }
 
@@ -124,7 +122,7 @@ fn a_constant_voltage_keeps_values_and_settles_nothing_new() {
     let mut events = steps(4.0);
     events.push((4.2, 40.0));
     let online = run_noisy(&regular(events, 0.001, 60.0), 2);
-    finds("after steps", &online, &PAPER, 0.01);
+    assert_all("after steps", &online.estimates(), &PAPER, 0.01);
     // The motor turns already when the first sample comes: nothing but steady state.
     let bench = regular(vec![(0.0, 40.0)], 0.001, 4.0);
     let [current, speed] = bench.noisy(3);
@@ -145,7 +143,7 @@ fn jittered_stamps_change_little_and_separate_commands_no_bit() {
     let late = |k| 0.005 * f64::from(k) + f64::clamp(jitter.sample(&mut random), -0.002, 0.002);
     let bench = Record::of(&paper(), steps(6.0), (0..1200).map(late).collect());
     let online = run(&bench, OnlineConfig::default());
-    finds("jittered", &online, &PAPER, 0.01);
+    assert_all("jittered", &online.estimates(), &PAPER, 0.01);
     // As the live bench does it: each command is given just before the first sample after it.
     let mut live = Online::new(OnlineConfig::default());
     let read = [&bench.current[..], &bench.speed];

@@ -7,15 +7,11 @@ use drivebench_model::plant::{Input, LEAST_TIME_CONSTANT, Motor, MotorKey, Scena
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 use drivebench_model::text::number::significant;
 
-struct Settings {
-    /// Factor of a bound for the terms that it neglects: a back-EMF in addition to the voltage, an overhauling load, noise in an
-    /// extreme.
-    margin: f64,
-    /// Share of the largest voltage or torque of the record that a sensor resolves.
-    resolution: f64,
-}
-
-const SETTINGS: Settings = Settings { margin: 4.0, resolution: 1e-3 };
+/// Factor of a bound for the terms that it neglects: a back-EMF in addition to the voltage, an overhauling load, noise in an
+/// extreme.
+const MARGIN: f64 = 4.0;
+/// Share of the largest voltage or torque of the record that a sensor resolves.
+const RESOLUTION: f64 = 1e-3;
 
 struct Extents {
     /// Largest voltage, V, current, A, and torque, N.m; not a number where the record does not have it.
@@ -48,7 +44,7 @@ impl Extents {
         let current_a = match scenario.input {
             Input::Current => input(Input::Current),
             _ if measured_a > 0.0 => measured_a,
-            _ => SETTINGS.margin * stall_a,
+            _ => MARGIN * stall_a,
         };
         let torque_n_m = match scenario.input {
             Input::Torque => input(Input::Torque),
@@ -76,8 +72,8 @@ impl Extents {
         let [volts, torque, seconds] = [self.voltage_v, self.torque_n_m, self.length_s].map(three);
         match key {
             MotorKey::Resistance => (
-                SETTINGS.resolution * self.voltage_v / self.current_a,
-                SETTINGS.margin * self.voltage_v / self.current_rms_a,
+                RESOLUTION * self.voltage_v / self.current_a,
+                MARGIN * self.voltage_v / self.current_rms_a,
                 format!("up to {volts} V drove {} A (rms)", three(self.current_rms_a)),
             ),
             MotorKey::Inductance => (
@@ -90,8 +86,8 @@ impl Extents {
                 ),
             ),
             MotorKey::BackEmf => (
-                SETTINGS.resolution * self.voltage_v / self.speed_rad_s,
-                SETTINGS.margin * self.voltage_v / self.speed_rms_rad_s,
+                RESOLUTION * self.voltage_v / self.speed_rad_s,
+                MARGIN * self.voltage_v / self.speed_rms_rad_s,
                 format!(
                     "up to {volts} V turned the shaft at {} rad/s (rms)",
                     three(self.speed_rms_rad_s)
@@ -100,8 +96,8 @@ impl Extents {
             MotorKey::Inertia => {
                 let per_rate = self.torque_n_m / self.span_rad_s;
                 (
-                    SETTINGS.resolution * per_rate * self.period_s,
-                    SETTINGS.margin * per_rate * self.length_s,
+                    RESOLUTION * per_rate * self.period_s,
+                    MARGIN * per_rate * self.length_s,
                     format!(
                         "up to {torque} N.m changed the speed by {} rad/s within {seconds} s",
                         three(self.span_rad_s)
@@ -120,7 +116,7 @@ impl Extents {
         let (most, margin, what) = match unit {
             "V" => (self.voltage_v, 1.0, "voltage is"),
             "A" => (self.current_a, 1.0, "current is"),
-            "N.m" => (self.torque_n_m, SETTINGS.margin, "motor gives"),
+            "N.m" => (self.torque_n_m, MARGIN, "motor gives"),
             _ => (f64::NAN, 1.0, ""),
         };
         (margin * most, format!("the {what} {} {unit} at most", significant(most, 3)))

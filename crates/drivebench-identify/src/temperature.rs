@@ -83,7 +83,6 @@ fn at_20_c(
     (at_20, Some(note))
 }
 
-/// Temperatures over the scored rows.
 fn readings(run: &Run, scenario: &Scenario) -> Vec<f64> {
     let Some((first_s, last_s)) = scored_s(scenario) else { return Vec::new() };
     let points = run.points(Channel::Temperature);

@@ -10,7 +10,7 @@ use drivebench_model::plant::{Input, Model, Motor, Plant, Scenario, State};
 use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run, Sample, Verdict};
 
 pub(super) use drivebench_model::plant::testing::{
-    CURRENT_NOISE_A, SPEED_NOISE_RAD_S, held, record,
+    CURRENT_NOISE_A, SPEED_NOISE_RAD_S, held, record, with,
 };
 
 /// The floor of a record with the noise of a bench.
@@ -60,12 +60,6 @@ pub(super) fn paper_with(id: &str, values: &[f64]) -> Model {
     with(&paper(), id, values)
 }
 
-pub(super) fn with(model: &Model, id: &str, values: &[f64]) -> Model {
-    let mut model = model.with_effect(id).unwrap();
-    model.effects[0].values = values.iter().copied().map(Some).collect();
-    model
-}
-
 /// Voltage steps at odd instants in both directions after a rest; the full scale is 70.
 pub(super) fn steps(begin_s: f64, seconds: f64, scale: f64, hold_s: f64) -> Vec<(f64, f64)> {
     let levels = [20.0, 35.0, 15.0, 60.0, 30.0, 45.0, 25.0, -30.0, -50.0, -20.0, 10.0, 70.0];
@@ -88,7 +82,7 @@ pub(super) fn every(period_s: f64, seconds: f64) -> Vec<f64> {
         .collect()
 }
 
-/// Stamps 0 to 3 ms late.
+/// Stamps up to three tenths of a period late.
 pub(super) fn jittered(period_s: f64, seconds: f64, seed: u64) -> Vec<f64> {
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let late = Uniform::new(0.0, 0.3 * period_s).unwrap();
@@ -117,7 +111,6 @@ pub(super) fn noisy(values: &[f64], sigma: f64, random: &mut ChaCha8Rng) -> Vec<
     values.iter().map(|value| value + noise.sample(random)).collect()
 }
 
-/// Measured columns at the given instants.
 pub(super) fn run_of<const N: usize>(times: Vec<f64>, columns: [(Channel, Vec<f64>); N]) -> Run {
     let mut run = Run::new("r", times).unwrap();
     for (channel, cells) in columns {
@@ -167,6 +160,12 @@ pub(super) fn recorded(scenario: &Scenario) -> Run {
             (Channel::Speed, scenario.speed_rad_s.clone()),
         ],
     )
+}
+
+/// The run with these of its columns.
+pub(super) fn only<const N: usize>(run: &Run, channels: [Channel; N]) -> Run {
+    let column = |channel| (channel, run.column(channel).unwrap().to_vec());
+    run_of(run.time_s().to_vec(), channels.map(column))
 }
 
 /// Takes every command and sample of a record in the order of time, commands as rows of their own.
@@ -237,21 +236,20 @@ impl Record {
     }
 }
 
-/// Relative errors; not a number where no value was found.
-pub(super) fn errors(estimates: &[ParameterEstimate], truth: &[f64]) -> Vec<f64> {
-    let pairs = estimates.iter().zip(truth);
-    let error =
-        |(e, t): (&ParameterEstimate, &f64)| e.value.map_or(f64::NAN, |value| value / t - 1.0);
-    pairs.map(error).collect()
+/// All have values within a relative distance of the truth.
+#[track_caller]
+pub(super) fn assert_all(name: &str, found: &[ParameterEstimate], truth: &Truth, within: f64) {
+    for (own, truth) in found.iter().zip(truth) {
+        let is_near = own.value.is_some_and(|value| (value / truth - 1.0).abs() < within);
+        assert!(is_near, "{name}: {own:?}");
+    }
 }
 
-/// The estimate of a key, which there must be.
 #[track_caller]
 pub(super) fn of<'a>(parameters: &'a [ParameterEstimate], key: &str) -> &'a ParameterEstimate {
     ParameterEstimate::find(parameters, key).unwrap_or_else(|| panic!("no {key}"))
 }
 
-/// The estimate of a key, which must have this verdict.
 #[track_caller]
 pub(super) fn judged<'a>(
     parameters: &'a [ParameterEstimate],
@@ -263,7 +261,6 @@ pub(super) fn judged<'a>(
     found
 }
 
-/// A reason that holds all of these words.
 #[track_caller]
 pub(super) fn assert_says(found: &ParameterEstimate, words: &[&str]) {
     let reason = found.reason.as_deref().unwrap_or_default();
@@ -277,7 +274,6 @@ pub(super) fn identify(id: &str, run: &Run, model: &Model) -> Result<Identified,
     scheme::find(id).unwrap().identify(&data)
 }
 
-/// Within a relative distance of the truth.
 #[track_caller]
 pub(super) fn assert_near(found: f64, truth: f64, within: f64) {
     let off = found / truth - 1.0;

@@ -34,25 +34,15 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
 
-struct Settings {
-    /// Half length of the windows of the torque balance, in times of response.
-    torque_half_responses: f64,
-    /// Fewest samples of a half window.
-    fewest_half: usize,
-    /// Change by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
-    sampling_order: f64,
-    /// Least ratio, in power, of the part of a regressor that the others do not explain to its noise.
-    least_signal: f64,
-}
+/// Half length of the windows of the torque balance, in times of response.
+const TORQUE_HALF_RESPONSES: f64 = 0.75;
+/// Fewest samples of a half window.
+const FEWEST_HALF: usize = 4;
+/// Change by leaving out every second sample over the error at the full rate: between first order (1) and second (3).
+const SAMPLING_ORDER: f64 = 1.5;
+/// Least ratio, in power, of the part of a regressor that the others do not explain to its noise.
+const LEAST_SIGNAL: f64 = 4.0;
 
-const SETTINGS: Settings = Settings {
-    torque_half_responses: 0.75,
-    fewest_half: 4,
-    sampling_order: 1.5,
-    least_signal: 4.0,
-};
-
-/// Estimates of one balance with its residual.
 #[derive(Clone, Debug)]
 pub struct Balanced {
     pub equation: Balance,
@@ -148,11 +138,11 @@ fn estimate(
     errors: &Errors,
     period_s: f64,
 ) -> ParameterEstimate {
-    if errors.signal < SETTINGS.least_signal {
+    if errors.signal < LEAST_SIGNAL {
         let reason = format!(
             "the part that only this parameter explains is {:.1} times its noise, at least {} is needed: \
              the run does not excite it",
-            errors.signal, SETTINGS.least_signal
+            errors.signal, LEAST_SIGNAL
         );
         let (key, unit) = (unknown.slot.key(), unknown.slot.unit());
         return ParameterEstimate::not_observable(&key, unit, Reason::NotExcited, reason);
@@ -165,7 +155,7 @@ fn estimate(
     {
         let change = format!(
             "; half of the samples change it by {:.1} %: sample faster, or use the output-error fit",
-            100.0 * SETTINGS.sampling_order * errors.sampling / value.abs().max(f64::MIN_POSITIVE)
+            100.0 * SAMPLING_ORDER * errors.sampling / value.abs().max(f64::MIN_POSITIVE)
         );
         reason.push_str(&change);
     }
@@ -289,7 +279,7 @@ impl System {
             .collect();
         // Noise in one regressor biases every coefficient that is correlated with it. A coefficient that is lost in noise may have any
         // value up to that which explains the whole left-hand side.
-        let is_lost = |other: usize| partial(other) < SETTINGS.least_signal * power[other];
+        let is_lost = |other: usize| partial(other) < LEAST_SIGNAL * power[other];
         let bias = |column: usize, other: usize| {
             let slope = bread[(column, other)];
             let bias = if is_lost(other) {
@@ -314,7 +304,7 @@ impl System {
             };
             let known = columns().filter(|other| !is_lost(*other));
             Errors {
-                sampling: finite(change / SETTINGS.sampling_order),
+                sampling: finite(change / SAMPLING_ORDER),
                 attenuation: known.map(|other| bias(column, other)).sum(),
                 noise: columns().map(uncertainty).sum(),
                 signal: partial(column)
@@ -440,10 +430,10 @@ fn half_window(scenario: &Scenario, equation: Balance) -> usize {
     // The armature circuit is faster than the shaft.
     let responses = match equation {
         Balance::Voltage => 0.3,
-        Balance::Torque => SETTINGS.torque_half_responses,
+        Balance::Torque => TORQUE_HALF_RESPONSES,
     };
     let half_s = scenario.scales.responses(responses);
-    whole((half_s / period_s).round()).max(SETTINGS.fewest_half)
+    whole((half_s / period_s).round()).max(FEWEST_HALF)
 }
 
 /// Every second sample; the input stays as it was.
@@ -543,12 +533,12 @@ pub fn torque_rows(
     let noise = Noise::of(scenario);
     let (at, left) = samples(model, scenario);
     let times: Vec<f64> = at.iter().map(|at| at.time_s + scenario.begin_s()).collect();
-    if times.len() < 2 * SETTINGS.fewest_half {
+    if times.len() < 2 * FEWEST_HALF {
         return None;
     }
     let period_s = statistics::median_step(&times);
-    let half_s = scenario.scales.responses(SETTINGS.torque_half_responses);
-    let half = whole((half_s / period_s).round()).max(SETTINGS.fewest_half);
+    let half_s = scenario.scales.responses(TORQUE_HALF_RESPONSES);
+    let half = whole((half_s / period_s).round()).max(FEWEST_HALF);
     let nominal_s = 2.0 * half as f64 * period_s;
     let (scored_from_s, scored_to_s) = scored_s(scenario)?;
     // Windows over the samples that have a speed.

@@ -113,7 +113,6 @@ impl Plate {
     }
 }
 
-/// One of the two readings of a balance.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reading {
     Current,
@@ -172,7 +171,6 @@ impl Window {
         by_other.wider(drop_v).times(Settings::ANY_FACTOR)
     }
 
-    /// The same with another sign of the speed.
     #[must_use]
     pub fn with_speed_reversed(self) -> Self {
         Self { speed: self.speed.negative(), ..self }

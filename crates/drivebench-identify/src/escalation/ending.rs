@@ -112,7 +112,6 @@ impl Ending {
     }
 }
 
-/// A sensor that is wired the wrong way round.
 pub(super) fn wrong_sign(stage: &Observation) -> Option<Ending> {
     let against = |value: f64, volts: f64| value * volts < 0.0;
     // At its peak the current of a ramp, and that of the first steps, goes with the voltage; while braking it does not.

@@ -36,45 +36,28 @@ use drivebench_model::sample::{Channel, Origin, ParameterEstimate, Run};
 use observation::Turned;
 use stage::BothWays;
 
-struct Settings {
-    /// Current of a ramp of the first kind, in rated currents.
-    feel_current: f64,
-    /// Largest voltage of such a ramp, in rated voltages: even a motor with a stall current at rated voltage of no more than the
-    /// rated current then draws a quarter of it.
-    safe_voltage: f64,
-    /// Growth of the voltage from ramp to ramp.
-    growth: f64,
-    /// Largest current of a step, as a share of the current limit.
-    current_share: f64,
-    /// Largest speed of a step, as a share of the speed limit.
-    speed_share: f64,
-    /// Speed of a sweep, as a share of the speed limit.
-    sweep_share: f64,
-    /// Largest current of the break-away ramp, in rated currents.
-    break_away: f64,
-    /// Rounds of turning.
-    rounds: usize,
-    /// Largest relative standard deviation of a usable motor after the last round.
-    usable: f64,
-    /// Largest relative standard deviation of a resistance that bounds a step.
-    known: f64,
-    /// Stages of any kind, so that every escalation ends.
-    most_stages: usize,
-}
-
-const SETTINGS: Settings = Settings {
-    feel_current: 0.3,
-    safe_voltage: 0.25,
-    growth: 3.0,
-    current_share: 0.8,
-    speed_share: 0.5,
-    sweep_share: 0.35,
-    break_away: 1.1,
-    rounds: 8,
-    usable: 0.15,
-    known: 0.3,
-    most_stages: 24,
-};
+/// Current of a ramp of the first kind, in rated currents.
+const FEEL_CURRENT: f64 = 0.3;
+/// Largest voltage of such a ramp, in rated voltages: even a motor with a stall current at rated voltage of no more than the
+/// rated current then draws a quarter of it.
+const SAFE_VOLTAGE: f64 = 0.25;
+/// Growth of the voltage from ramp to ramp.
+const GROWTH: f64 = 3.0;
+/// Largest current of a step, as a share of the current limit.
+const CURRENT_SHARE: f64 = 0.8;
+/// Largest speed of a step, as a share of the speed limit.
+const SPEED_SHARE: f64 = 0.5;
+/// Speed of a sweep, as a share of the speed limit.
+const SWEEP_SHARE: f64 = 0.35;
+/// Largest current of the break-away ramp, in rated currents.
+const BREAK_AWAY: f64 = 1.1;
+const ROUNDS: usize = 8;
+/// Largest relative standard deviation of a usable motor after the last round.
+const USABLE: f64 = 0.15;
+/// Largest relative standard deviation of a resistance that bounds a step.
+const KNOWN: f64 = 0.3;
+/// Stages of any kind, so that every escalation ends.
+const MOST_STAGES: usize = 24;
 
 /// Rated values and limits, the only certain figures of the motor.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -84,18 +67,17 @@ pub struct Bounds {
     pub current_limit_a: f64,
     pub speed_limit_rad_s: f64,
     pub voltage_limit_v: f64,
-    /// Period of the samples, s.
     pub period_s: f64,
 }
 
 impl Bounds {
     /// Largest voltage before a current shows, V.
     fn safe_v(&self) -> f64 {
-        (SETTINGS.safe_voltage * self.rated_voltage_v).min(self.voltage_limit_v)
+        (SAFE_VOLTAGE * self.rated_voltage_v).min(self.voltage_limit_v)
     }
 }
 
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct StageResult {
     pub kind: StageKind,
     /// Farthest commanded voltage that was reached, V.
@@ -104,19 +86,6 @@ pub struct StageResult {
     pub peak_speed_rad_s: f64,
     /// The result, in a sentence.
     pub line: String,
-}
-
-impl StageResult {
-    /// Before any stage was run.
-    pub fn nothing() -> Self {
-        Self {
-            kind: StageKind::Feel,
-            peak_v: 0.0,
-            peak_current_a: 0.0,
-            peak_speed_rad_s: 0.0,
-            line: String::new(),
-        }
-    }
 }
 
 /// The state of an escalation: a stage to run, or how it ended.
@@ -170,19 +139,16 @@ impl Escalation {
 
     /// The stages that may follow the first, in sentences: the result of each limits the size of the next.
     pub fn outlook() -> Vec<String> {
-        let Settings { growth, safe_voltage, break_away, current_share, speed_share, .. } =
-            SETTINGS;
-        let Settings { rounds, sweep_share, most_stages, .. } = SETTINGS;
         vec![
             format!(
-                "feel: without a current or a motion, the same {growth} times larger, up to {safe_voltage} of the rated voltage"
+                "feel: without a current or a motion, the same {GROWTH} times larger, up to {SAFE_VOLTAGE} of the rated voltage"
             ),
-            format!("break away: slowly up to {break_away} rated currents, until the shaft turns"),
+            format!("break away: slowly up to {BREAK_AWAY} rated currents, until the shaft turns"),
             format!(
-                "turn: steps both ways, by the lower bound of the resistance, to at most {current_share} of the current limit and {speed_share} of the speed limit; {rounds} rounds at most"
+                "turn: steps both ways, by the lower bound of the resistance, to at most {CURRENT_SHARE} of the current limit and {SPEED_SHARE} of the speed limit; {ROUNDS} rounds at most"
             ),
             format!(
-                "sweep: to {sweep_share} of the speed limit, as fast as the current allows; then the sequence is fitted to the motor that was found. {most_stages} stages at most"
+                "sweep: to {SWEEP_SHARE} of the speed limit, as fast as the current allows; then the sequence is fitted to the motor that was found. {MOST_STAGES} stages at most"
             ),
         ]
     }
@@ -222,8 +188,8 @@ impl Escalation {
             peak_speed_rad_s: observation.peak_speed_rad_s,
             line,
         });
-        self.next = if self.history.len() >= SETTINGS.most_stages && matches!(next, Next::Run(_)) {
-            not_identified(format!("{} stages were run", SETTINGS.most_stages))
+        self.next = if self.history.len() >= MOST_STAGES && matches!(next, Next::Run(_)) {
+            not_identified(format!("{MOST_STAGES} stages were run"))
         } else {
             next
         };
@@ -254,7 +220,7 @@ impl Escalation {
             return (self.turn(), format!("it turns already, {}", observation.text()));
         }
         let rated_a = bounds.rated_current_a;
-        let shows = observation.peak_current_a.abs() >= 0.8 * SETTINGS.feel_current * rated_a;
+        let shows = observation.peak_current_a.abs() >= 0.8 * FEEL_CURRENT * rated_a;
         let safe_v = bounds.safe_v();
         let line = format!("at rest, {}", observation.text());
         // Beyond the safe voltage only on a current that is not the largest of some hundred samples of noise.
@@ -269,10 +235,10 @@ impl Escalation {
             return ended(ending::no_current(observation, idle_a));
         }
         // A resistance that is known spares ramps in between; one that is not allows no more than the usual growth.
-        let (least_v, most_v) = (1.2 * self.last_v, SETTINGS.growth * self.last_v);
-        let known = self.rest.filter(|rest| rest.relative() < SETTINGS.known);
+        let (least_v, most_v) = (1.2 * self.last_v, GROWTH * self.last_v);
+        let known = self.rest.filter(|rest| rest.relative() < KNOWN);
         let mut wanted_v = known.map_or(most_v, |rest| {
-            (1.05 * SETTINGS.feel_current * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
+            (1.05 * FEEL_CURRENT * rated_a * rest.lowest_ohm()).clamp(least_v, most_v)
         });
         // No further ramp for the last few per cent.
         if wanted_v > 0.9 * safe_v {
@@ -293,7 +259,7 @@ impl Escalation {
             return ended(ending);
         }
         let line = format!("the speed may be below its noise, {}", observation.text());
-        let wanted_v = (SETTINGS.growth * self.last_v).min(bounds.safe_v());
+        let wanted_v = (GROWTH * self.last_v).min(bounds.safe_v());
         if wanted_v < 1.2 * self.last_v {
             let reason = format!("no speed above its noise at {:.1} V", self.last_v);
             return (not_identified(reason), line);
@@ -319,7 +285,7 @@ impl Escalation {
         if let Ok(found) = found {
             // A sweep covers more of the motor's range than any step and is preferred to a more accurate estimate of a step, if it is
             // usable: behind the filters of a drive its slow current says little.
-            let is_usable = |own: &Turned| own.worst() <= SETTINGS.usable;
+            let is_usable = |own: &Turned| own.worst() <= USABLE;
             let is_better = self.best.as_ref().is_none_or(|(of_sweep, best)| {
                 if is_usable(&found) != is_usable(best) {
                     return is_usable(&found);
@@ -334,16 +300,16 @@ impl Escalation {
         }
         let within = |most| self.turned.as_ref().is_some_and(|it| it.worst() <= most);
         let best = self.best.as_ref();
-        let best_is_usable = best.is_some_and(|(_, best)| best.worst() <= SETTINGS.usable);
-        if (within(0.015) && is_sweep) || (best_is_usable && self.rounds >= SETTINGS.rounds) {
+        let best_is_usable = best.is_some_and(|(_, best)| best.worst() <= USABLE);
+        if (within(0.015) && is_sweep) || (best_is_usable && self.rounds >= ROUNDS) {
             return (self.found(), line);
         }
-        if self.rounds >= SETTINGS.rounds {
+        if self.rounds >= ROUNDS {
             let worst = || self.turned.as_ref().map(Turned::worst_text);
             let reason = failure.or_else(worst).unwrap_or_else(|| NOTHING.to_owned());
             return (not_identified(reason), line);
         }
-        let sweep = within(SETTINGS.usable).then(|| self.sweep()).flatten();
+        let sweep = within(USABLE).then(|| self.sweep()).flatten();
         (sweep.unwrap_or_else(|| self.turn()), line)
     }
 
@@ -366,7 +332,7 @@ impl Escalation {
                 "current flows, but not in proportion to the voltage: the resistance is not observable",
             );
         };
-        Next::Run(stage::break_away(bounds, &rest, SETTINGS.break_away))
+        Next::Run(stage::break_away(bounds, &rest, BREAK_AWAY))
     }
 
     /// The next steps in both directions: the current that is wanted, through the lowest resistance that is possible.
@@ -374,7 +340,7 @@ impl Escalation {
         let bounds = &self.bounds;
         let rated_a = bounds.rated_current_a;
         let lowest_ohm = self.lowest_resistance_ohm();
-        let most_a = SETTINGS.current_share * bounds.current_limit_a;
+        let most_a = CURRENT_SHARE * bounds.current_limit_a;
         let turned = self.turned.as_ref();
         let friction_a = turned.and_then(Turned::friction_a);
         let friction_a = friction_a.or(self.break_away_a).unwrap_or(0.0);
@@ -382,15 +348,15 @@ impl Escalation {
         let wanted_a = (share * rated_a).max(friction_a + 0.5 * rated_a).min(most_a);
         let mut volts = wanted_a * lowest_ohm;
         let mut reason = format!("{wanted_a:.2} A through at least {lowest_ohm:.3} ohm");
-        let is_known = self.rest.is_some_and(|rest| rest.relative() < SETTINGS.known)
+        let is_known = self.rest.is_some_and(|rest| rest.relative() < KNOWN)
             || turned.and_then(Turned::resistance).is_some();
         if self.rounds > 0 && !is_known && self.last_a < 0.3 * rated_a {
             // After a step with a small current three times the voltage is allowed.
-            volts = volts.max(SETTINGS.growth * self.last_v);
+            volts = volts.max(GROWTH * self.last_v);
             reason = self.allows_more();
         }
         // No faster than a share of the limit, by what the back-EMF is at least.
-        let speed_rad_s = SETTINGS.speed_share * bounds.speed_limit_rad_s;
+        let speed_rad_s = SPEED_SHARE * bounds.speed_limit_rad_s;
         let fastest_v = turned
             .and_then(|turned| turned.voltage_at(speed_rad_s))
             .or_else(|| {
@@ -435,12 +401,12 @@ impl Escalation {
         let lowest_ohm = self.lowest_resistance_ohm();
         let friction_a = turned.friction_a().unwrap_or(0.0);
         let rated_a = bounds.rated_current_a;
-        let most_a = SETTINGS.current_share * bounds.current_limit_a;
+        let most_a = CURRENT_SHARE * bounds.current_limit_a;
         let accelerating_a = rated_a.min(most_a - friction_a).max(0.2 * rated_a);
         // Half as slow again as the estimate: an inertia that hardly shows may be larger.
         let mechanical_s = 1.5 * turned.mechanical_s()?.max(bounds.period_s);
         let slew_v_per_s = accelerating_a * lowest_ohm / mechanical_s;
-        let speed_rad_s = SETTINGS.sweep_share * bounds.speed_limit_rad_s;
+        let speed_rad_s = SWEEP_SHARE * bounds.speed_limit_rad_s;
         // The slope may take longer where the friction needs more voltage than it reaches.
         let slope_v = (1.5 * slew_v_per_s).max(1.5 * friction_a * lowest_ohm);
         let peak_v = turned.voltage_at(speed_rad_s)?.min(bounds.voltage_limit_v);
@@ -463,7 +429,7 @@ impl Escalation {
     fn lowest_resistance_ohm(&self) -> f64 {
         let bounds = &self.bounds;
         let least = 0.005 * bounds.rated_voltage_v / bounds.rated_current_a;
-        let at_rest = self.rest.filter(|rest| rest.relative() < SETTINGS.known);
+        let at_rest = self.rest.filter(|rest| rest.relative() < KNOWN);
         let turned = self.turned.as_ref().and_then(Turned::resistance);
         let lowest = match (turned, at_rest) {
             // The sharper one, but not above what the other allows.

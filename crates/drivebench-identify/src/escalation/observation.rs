@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{Bounds, SETTINGS, relative};
+use super::{Bounds, KNOWN, relative};
 use crate::belief;
 use crate::noise::NoiseFloor;
 use crate::{output_error, start};
@@ -15,12 +15,10 @@ use drivebench_model::text::number::with_std;
 /// Samples of which the mean is taken that counts as motion.
 const AVERAGED: usize = 12;
 
-/// Noise, peaks and motion of one stage.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Observation {
     pub(super) noise_a: f64,
     pub(super) offset_a: f64,
-    /// Speed that counts as motion, rad/s.
     pub(super) motion_rad_s: f64,
     /// Commanded voltage of the largest magnitude, V, with its sign.
     pub(super) peak_v: f64,
@@ -317,7 +315,7 @@ impl Turned {
     pub(super) fn resistance(&self) -> Option<RestWinding> {
         let share = relative(&self.parameters, MotorKey::Resistance)?;
         let resistance_ohm = self.motor.get(MotorKey::Resistance)?;
-        (share < SETTINGS.known).then_some(RestWinding {
+        (share < KNOWN).then_some(RestWinding {
             resistance_ohm,
             std_ohm: share * resistance_ohm,
             time_constant_s: self.motor.electrical_time_constant_s()?,

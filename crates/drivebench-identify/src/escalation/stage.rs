@@ -2,13 +2,14 @@
 
 use serde::Serialize;
 
-use super::{Bounds, RestWinding, SETTINGS};
+use super::{BREAK_AWAY, Bounds, CURRENT_SHARE, FEEL_CURRENT, RestWinding};
 use drivebench_model::excitation::{Ramp, Segment, Standstill, Steps};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum StageKind {
     /// Slow ramps at tiny voltages.
+    #[default]
     Feel,
     /// Slowly up to the rated current.
     BreakAway,
@@ -35,7 +36,6 @@ pub struct Stage {
     pub kind: StageKind,
     pub segments: Vec<Segment>,
     pub slew_v_per_s: f64,
-    /// Largest commanded voltage, V.
     pub peak_v: f64,
     /// The stage ends, without a fault, as soon as one of these is reached.
     pub stop_current_a: f64,
@@ -65,8 +65,8 @@ fn steps(levels_v: Vec<f64>, hold_s: f64) -> Segment {
 /// Slowly from rest through these levels, each held for a while, and back.
 fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) -> Stage {
     let stop_at = match kind {
-        StageKind::Feel => SETTINGS.feel_current,
-        _ => 1.15 * SETTINGS.break_away,
+        StageKind::Feel => FEEL_CURRENT,
+        _ => 1.15 * BREAK_AWAY,
     };
     let ramp_s = ramp_s(bounds);
     let hold_s = f64::max(0.3, 20.0 * bounds.period_s);
@@ -87,7 +87,7 @@ fn slowly(bounds: &Bounds, kind: StageKind, levels_v: &[f64], reason: String) ->
         slew_v_per_s: 1.05 * peak_v / ramp_s,
         peak_v,
         stop_current_a: (stop_at * bounds.rated_current_a)
-            .min(SETTINGS.current_share * bounds.current_limit_a),
+            .min(CURRENT_SHARE * bounds.current_limit_a),
         // The shaft turns.
         stop_speed_rad_s: 0.03 * bounds.speed_limit_rad_s,
         winding_v: None,

@@ -1,8 +1,9 @@
 use super::*;
 use crate::testing::{changed, put, record, run_of};
-use drivebench_model::excitation::{Output, Program};
+use drivebench_model::excitation::Program;
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::Demand;
 
 fn bounds() -> Bounds {
     Bounds {
@@ -20,10 +21,7 @@ fn answer(stage: &Stage, motor: &Motor, distort: impl Fn(&mut Run)) -> Run {
     let program = Program::new(&stage.segments, stage.slew_v_per_s).unwrap();
     let at = |k: usize| {
         let time_s = k as f64 * 0.01;
-        match program.value_at(time_s) {
-            Output::Voltage(volts) => (time_s, volts),
-            Output::Coast => (time_s, 0.0),
-        }
+        (time_s, Demand::from(program.value_at(time_s)).voltage_v().unwrap())
     };
     let events: Vec<(f64, f64)> = (0..whole(program.duration_s() / 0.01)).map(at).collect();
     let volts = events.iter().map(|event| event.1).collect();
@@ -42,7 +40,6 @@ fn scaled(channel: Channel, factor: f64) -> impl Fn(&mut Run) {
     move |run: &mut Run| *run = changed(run, channel, |_, value| value * factor)
 }
 
-/// The stages of an escalation, and how it ends.
 fn run_of_stages(
     motor: &Motor,
     bounds: Bounds,

@@ -42,7 +42,6 @@ impl Departure {
     }
 }
 
-/// Measurement and, where there is one, model.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Compared {
     #[serde(flatten)]

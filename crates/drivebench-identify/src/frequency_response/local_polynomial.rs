@@ -13,7 +13,6 @@ const UNKNOWNS: usize = 2 * 3;
 pub(super) const SIDE: usize = 5;
 /// Lines of a point.
 pub(super) const LINES: usize = 2 * SIDE + 1;
-/// Degrees of freedom of the noise.
 pub(super) const FREEDOM: usize = LINES - UNKNOWNS;
 
 /// Transforms of the input and of both outputs at one line.

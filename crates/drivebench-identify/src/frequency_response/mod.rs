@@ -34,13 +34,9 @@ use drivebench_model::text::number::{shortest, with_std};
 
 /// Least coherence of a point that the excitation determines.
 pub const CARRIED: f64 = 0.8;
-struct Settings {
-    /// Fewest rows and seconds of a stretch.
-    fewest_rows: usize,
-    shortest_s: f64,
-}
-
-const SETTINGS: Settings = Settings { fewest_rows: 200, shortest_s: 1.0 };
+/// Fewest rows and seconds of a stretch.
+const FEWEST_ROWS: usize = 200;
+const SHORTEST_S: f64 = 1.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -154,7 +150,6 @@ pub struct FrequencyResponse {
     /// Seconds of record that were used, in how many stretches.
     pub used_s: f64,
     pub stretches: usize,
-    /// Limitations, in sentences.
     pub cautions: Vec<String>,
 }
 
@@ -213,7 +208,8 @@ pub enum FrequencyResponseError {
     Steady { run: String },
     #[error(
         "run {run:?}: {rows} samples in {seconds:.2} s (expected at least {} samples and {} s)",
-        SETTINGS.fewest_rows, SETTINGS.shortest_s
+        FEWEST_ROWS,
+        SHORTEST_S
     )]
     Short { run: String, rows: usize, seconds: f64 },
 }
@@ -312,7 +308,7 @@ fn stretches(scenario: &Scenario) -> (Vec<Range<usize>>, bool) {
         open = turns.then(|| (row, now.signum()));
     }
     let seconds = |rows: &Range<usize>| time_s[rows.end - 1] - time_s[rows.start];
-    found.retain(|rows| rows.len() >= SETTINGS.fewest_rows && seconds(rows) >= SETTINGS.shortest_s);
+    found.retain(|rows| rows.len() >= FEWEST_ROWS && seconds(rows) >= SHORTEST_S);
     let longest = found.iter().map(seconds).fold(0.0, f64::max);
     // Much shorter stretches have a coarser resolution and begin at a higher frequency.
     found.retain(|rows| seconds(rows) >= 0.5 * longest);
@@ -355,7 +351,7 @@ fn response_over(
         }
         let time_s = &scenario.sample_time_s;
         let seconds = time_s.first().zip(time_s.last()).map_or(0.0, |(first, last)| last - first);
-        if time_s.len() < SETTINGS.fewest_rows || seconds < SETTINGS.shortest_s {
+        if time_s.len() < FEWEST_ROWS || seconds < SHORTEST_S {
             let rows = time_s.len();
             return Err(FrequencyResponseError::Short { run: run(), rows, seconds });
         }
@@ -363,7 +359,7 @@ fn response_over(
         if !keeps_turning {
             cautions.push(format!(
                 "{}: the shaft never turns in one direction for {} s; its Coulomb friction, which changes sign with the speed, is in the response (an excitation about an offset avoids it)",
-                scenario.name, SETTINGS.shortest_s
+                scenario.name, SHORTEST_S
             ));
         }
         let before = all.len();

@@ -1,20 +1,18 @@
 use std::f64::consts::TAU;
 
 use super::*;
-use drivebench_model::excitation::{Chirp, Output, Prbs, Program, Segment};
-use drivebench_model::plant::testing::record;
-use drivebench_model::plant::{ActiveEffect, Model, Motor, effect};
+use drivebench_model::excitation::{Chirp, Prbs, Program, Segment};
+use drivebench_model::plant::testing::{record, with};
+use drivebench_model::plant::{Model, Motor};
+use drivebench_model::sample::Demand;
 use nalgebra::DMatrix;
 
 /// 22 Hz, half of the inertia behind the coupling.
 const COUPLING: [f64; 4] = [22.0, 0.5, 0.02, 0.5];
 
 fn model(coupling: Option<[f64; 4]>) -> Model {
-    let mut model = Model::baseline(Motor::zk_22fc());
-    if let Some(values) = coupling {
-        model.effects.push(ActiveEffect::with(effect::find("elastic_coupling").unwrap(), &values));
-    }
-    model
+    let rigid = Model::baseline(Motor::zk_22fc());
+    coupling.map_or(rigid.clone(), |values| with(&rigid, "elastic_coupling", &values))
 }
 
 /// About 20 V, so that the shaft keeps turning; held for a period of the host.
@@ -23,26 +21,22 @@ fn scenario(model: &Model, segment: Segment, rate_hz: f64, seed: u64) -> Scenari
     let program = Program::new(&[segment], 4e3).unwrap();
     let count = whole(seconds * rate_hz);
     let at = |n: usize| n as f64 / rate_hz;
-    let events = (0..count).map(|n| match program.value_at(at(n)) {
-        Output::Voltage(volts) => (at(n), volts),
-        Output::Coast => (at(n), 0.0),
-    });
+    let volts = |time_s: f64| Demand::from(program.value_at(time_s)).voltage_v().unwrap();
+    let events = (0..count).map(|n| (at(n), volts(at(n))));
     record(model, events.collect(), 1.0 / rate_hz, seconds, seed)
 }
 
 fn prbs(seconds: f64) -> Segment {
-    Segment::Prbs(Prbs {
-        amplitude_v: 8.0,
-        clock_s: 0.004,
-        seconds,
-        seed: 3,
-        offset_v: 20.0,
-        levels: 5,
-    })
+    let (amplitude_v, clock_s, offset_v) = (8.0, 0.004, 20.0);
+    Segment::Prbs(Prbs { amplitude_v, clock_s, seconds, seed: 3, offset_v, levels: 5 })
 }
 
 fn chirp(seconds: f64) -> Segment {
-    Segment::Chirp(Chirp { amplitude_v: 8.0, from_hz: 0.5, to_hz: 120.0, seconds, offset_v: 20.0 })
+    sweep(8.0, [0.5, 120.0], seconds)
+}
+
+fn sweep(amplitude_v: f64, [from_hz, to_hz]: [f64; 2], seconds: f64) -> Segment {
+    Segment::Chirp(Chirp { amplitude_v, from_hz, to_hz, seconds, offset_v: 20.0 })
 }
 
 /// Current, motor speed, load speed, twist: as the textbook has it, by itself.
@@ -150,13 +144,7 @@ fn a_rigid_shaft_has_no_resonance_and_is_within_intervals() {
 
 #[test]
 fn only_points_that_the_excitation_carries_count_as_carried() {
-    let slow = Segment::Chirp(Chirp {
-        amplitude_v: 6.0,
-        from_hz: 1.0,
-        to_hz: 10.0,
-        seconds: 20.0,
-        offset_v: 20.0,
-    });
+    let slow = sweep(6.0, [1.0, 10.0], 20.0);
     let all = frequency_response(&[scenario(&model(None), slow, 500.0, 1)]).unwrap();
     let carried = |from: f64, to: f64| {
         let mut own = all.pathways[0].points.clone();
@@ -180,14 +168,9 @@ fn unfit_records_are_refused_and_a_reversing_shaft_is_cautioned() {
     assert!(matches!(refused(steady), Steady { .. }));
     assert!(matches!(refused(short), Short { rows: 50, .. }));
     assert!(matches!(refused(current), NoVoltage { .. }));
-    let about_zero = Segment::Prbs(Prbs {
-        amplitude_v: 20.0,
-        clock_s: 0.1,
-        seconds: 10.0,
-        seed: 1,
-        offset_v: 0.0,
-        levels: 2,
-    });
+    let Segment::Prbs(binary) = prbs(10.0) else { panic!("it is one") };
+    let slow = Prbs { amplitude_v: 20.0, clock_s: 0.1, offset_v: 0.0, levels: 2, ..binary };
+    let about_zero = Segment::Prbs(slow);
     let all = frequency_response(&[scenario(&model(None), about_zero, 200.0, 1)]).unwrap();
     let caution = &all.cautions[0];
     assert!(caution.contains("never turns in one direction"), "{caution}");

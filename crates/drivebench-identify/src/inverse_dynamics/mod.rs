@@ -38,7 +38,6 @@ use drivebench_model::plant::{
 use drivebench_model::sample::{ParameterEstimate, Reason, Run, Verdict};
 use drivebench_model::signal;
 
-/// Estimates of one balance, with figures of the processing.
 #[derive(Clone, Debug)]
 pub struct Balanced {
     pub equation: Balance,
@@ -106,7 +105,6 @@ pub fn fit(model: &Model, run: &Run, scenario: &Scenario) -> Vec<Balanced> {
     balances
 }
 
-/// One balance of one run.
 struct Case<'a> {
     model: &'a Model,
     scenario: &'a Scenario,

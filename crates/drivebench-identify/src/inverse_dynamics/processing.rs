@@ -205,7 +205,6 @@ fn is_even(stamp_s: f64, grid_s: f64, period_s: f64) -> bool {
     (stamp_s - grid_s).abs() < 0.02 * period_s
 }
 
-/// The signal that holds the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
     Speed,

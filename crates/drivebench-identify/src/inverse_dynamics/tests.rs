@@ -114,9 +114,7 @@ fn bench(seed: u64, times: Vec<f64>) -> Run {
 
 /// The run without its voltage: what a drive in torque or speed mode leaves.
 fn without_voltage(run: &Run) -> Run {
-    let left = [Channel::Current, Channel::Speed]
-        .map(|channel| (channel, run.column(channel).unwrap().to_vec()));
-    run_of(run.time_s().to_vec(), left)
+    only(run, [Channel::Current, Channel::Speed])
 }
 
 fn near(balances: &[Balanced], key: &str, truth: f64, within: f64) {
@@ -146,11 +144,8 @@ fn a_voltage_run_gives_both_balances() {
 
 #[test]
 fn current_and_speed_alone_bear_jitter_holes_and_a_pause() {
-    let mut rng = ChaCha8Rng::seed_from_u64(8);
-    let jittered: Vec<f64> =
-        every(0.002, 6.0).into_iter().map(|t| t + rng.random_range(0.0..0.0006)).collect();
     let model = paper();
-    let whole_run = without_voltage(&bench(2, jittered));
+    let whole_run = without_voltage(&bench(2, jittered(0.002, 6.0, 8)));
     let (mut holed, mut apart) = (whole_run.clone(), whole_run.clone());
     for (shift, channel) in [Channel::Current, Channel::Speed].into_iter().enumerate() {
         let missing_if = |missing: bool, cell: f64| if missing { f64::NAN } else { cell };
@@ -233,11 +228,8 @@ type Kind = (&'static str, fn(u64) -> Run);
 const KINDS: [Kind; 4] = [
     ("even", |seed| bench(seed, every(0.001, 4.0))),
     ("jittered", |seed| {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed + 500);
-        let times = every(0.002, 5.0).into_iter();
-        let times = times.map(|t| t + rng.random_range(0.0..0.0006));
         // Without the voltage: on such rows it would be written down late.
-        without_voltage(&bench(seed, times.collect()))
+        without_voltage(&bench(seed, jittered(0.002, 5.0, seed + 500)))
     }),
     ("slow", |seed| bench(seed, every(0.01, 12.0))),
     ("quantised", |seed| {

@@ -113,14 +113,8 @@ impl Belief {
     }
 }
 
-struct Settings {
-    /// Speed that ends a rest, in standard deviations of its noise.
-    motion: f64,
-    /// Innovation that is an outlier, in standard deviations.
-    outlier: f64,
-}
-
-const SETTINGS: Settings = Settings { motion: 3.0, outlier: 5.0 };
+/// Speed that ends a rest, in standard deviations of its noise.
+const MOTION: f64 = 3.0;
 /// Nodes of the two-point Gauss-Legendre rule on the unit interval.
 const GAUSS: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
 
@@ -328,7 +322,7 @@ impl Filter {
             self.belief.x[I] = current;
         }
         let before = self.belief;
-        let moves = measured[1].is_some_and(|speed| speed.abs() > SETTINGS.motion * noise);
+        let moves = measured[1].is_some_and(|speed| speed.abs() > MOTION * noise);
         if !moves && self.source == Source::Voltage {
             self.predict(length_s, 0.0);
         }
@@ -346,7 +340,7 @@ impl Filter {
         let level = self.belief.x[MC] - self.belief.p[MC][MC].sqrt();
         let torque = self.physics().kt * current_a - self.belief.x[TL];
         let noise = self.physics().kt * self.sensors[0].variance().sqrt();
-        torque.abs() > (0.8 * level).max(SETTINGS.motion * noise)
+        torque.abs() > (0.8 * level).max(MOTION * noise)
     }
 
     /// The load torque is a random walk.
@@ -478,9 +472,9 @@ impl Filter {
             let noise = self.sensors[channel].variance();
             let square = innovation * innovation / (own + noise);
             self.sensors[channel].innovate(innovation, own, self.fixed_noise);
-            self.log_likelihood -=
-                0.5 * (square.min(SETTINGS.outlier * SETTINGS.outlier) + (own + noise).ln());
-            if square > SETTINGS.outlier * SETTINGS.outlier {
+            // Beyond five standard deviations it is an outlier.
+            self.log_likelihood -= 0.5 * (square.min(25.0) + (own + noise).ln());
+            if square > 25.0 {
                 self.tally.outliers += 1;
                 self.streak[channel] += 1;
                 if self.streak[channel] >= 3 {
@@ -554,7 +548,7 @@ impl Filter {
         let rows = f64::from(self.zeros);
         if self.zeros >= 8 {
             let mean = self.zero_sum / rows;
-            let still = mean.abs() < SETTINGS.motion * (mechanical / rows).sqrt() + 1e-9;
+            let still = mean.abs() < MOTION * (mechanical / rows).sqrt() + 1e-9;
             (self.zeros, self.zero_sum) = (0, 0.0);
             if still && !self.may_break_away(self.belief.x[I]) {
                 self.belief.x[W] = 0.0;

@@ -20,16 +20,12 @@ const PARAMETERS: [(MotorKey, usize); 5] = [
     (MotorKey::Inertia, J),
     (MotorKey::LoadTorque, MC),
 ];
-struct Settings {
-    /// Largest relative standard deviation of a start.
-    start_spread: f64,
-    /// Standard deviation of a start over that of its estimate.
-    wider: f64,
-    /// Largest relative standard deviation of scheme 3 for a start.
-    certain: f64,
-}
-
-const SETTINGS: Settings = Settings { start_spread: 0.3, wider: 10.0, certain: 0.2 };
+/// Largest relative standard deviation of a start.
+const START_SPREAD: f64 = 0.3;
+/// Standard deviation of a start over that of its estimate.
+const WIDER: f64 = 10.0;
+/// Largest relative standard deviation of scheme 3 for a start.
+const CERTAIN: f64 = 0.2;
 
 /// The joint filter: the parameters are constant, and there is no load torque beside the Coulomb torque.
 #[derive(Clone, Debug)]
@@ -83,7 +79,7 @@ impl Kalman {
             let state = PARAMETERS[k].1;
             let size = if state == MC { values[k].abs() } else { 1.0 };
             let std = (found.filter.belief.p[state][state] * found.widening()).sqrt();
-            (SETTINGS.wider * std / size.max(f64::MIN_POSITIVE)).clamp(0.01, SETTINGS.start_spread)
+            (WIDER * std / size.max(f64::MIN_POSITIVE)).clamp(0.01, START_SPREAD)
         });
         kalman.start(values, spread);
         // The start is a good one.
@@ -103,7 +99,7 @@ impl Kalman {
         let most = torque * self.filter.sensors[I].largest.max(1e-3);
         if variance[MC] > 0.0 {
             // A start without any friction leaves its size open: 5 % of the largest electrical torque.
-            let known = spread[4] < SETTINGS.start_spread;
+            let known = spread[4] < START_SPREAD;
             let unknown = if known { 0.0 } else { 0.05 * most };
             variance[MC] = (spread[4] * x[MC]).powi(2).max(unknown.powi(2));
         }
@@ -147,14 +143,12 @@ impl Kalman {
         let value = |k: usize| {
             let estimate = found.get(k)?;
             let (value, std) = (estimate.value?, estimate.std?);
-            (value > 0.0 && std < SETTINGS.certain * value).then_some(value)
+            (value > 0.0 && std < CERTAIN * value).then_some(value)
         };
         let (Some(r), Some(ke), Some(j)) = (value(0), value(2), value(3)) else { return };
         let mut spread: [f64; 5] = std::array::from_fn(|k| {
             let relative = found.get(k).and_then(|e| Some(e.std? / e.value?.abs()));
-            relative.map_or(SETTINGS.start_spread, |std| {
-                (SETTINGS.wider * std).clamp(0.05, SETTINGS.start_spread)
-            })
+            relative.map_or(START_SPREAD, |std| (WIDER * std).clamp(0.05, START_SPREAD))
         });
         let l = value(1).unwrap_or_else(|| {
             spread[1] = 1.0;
@@ -272,7 +266,7 @@ impl Kalman {
                     Reason::NotConverged,
                     format!(
                         "from scheme 3; the filter starts when that is certain within {:.0} %",
-                        100.0 * SETTINGS.certain
+                        100.0 * CERTAIN
                     ),
                 );
             }

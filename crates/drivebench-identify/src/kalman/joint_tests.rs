@@ -15,12 +15,6 @@ fn run_under_steps(truth: &Model, period_s: f64, seconds: f64, seed: u64) -> Run
     Record::of(truth, steps(seconds, 1.0, 0.0613), every(period_s, seconds)).run(Some(seed))
 }
 
-#[track_caller]
-fn finds(name: &str, found: &Kalman, truth: &Truth, within: f64) {
-    let errors = errors(&found.estimates(), truth);
-    assert!(errors.iter().all(|e| e.abs() < within), "{name}: {errors:?} {}", found.summary());
-}
-
 /// Name, motor, voltage scale, hold and a period that is short for it, s.
 const CASES: [(&str, Truth, f64, f64, f64); 6] = [
     ("paper", PAPER, 1.0, 0.0613, 0.001),
@@ -36,7 +30,7 @@ fn without_noise_every_parameter_is_found() {
     for (name, truth, scale, hold_s, period_s) in CASES {
         let model = Model::baseline(motor(&truth));
         let record = Record::of(&model, steps(4.0, scale, hold_s), every(period_s, 4.0));
-        finds(name, &identify(&unknown(), &record.run(None)), &truth, 0.001);
+        assert_all(name, &identify(&unknown(), &record.run(None)).estimates(), &truth, 0.001);
     }
 }
 
@@ -71,13 +65,13 @@ fn on_line_a_wrong_start_is_left_and_a_changed_motor_followed() {
             let mut kalman = Kalman::new(start);
             let run = run_under_steps(&paper(), period_s, 4.0, 1);
             run.samples().for_each(|sample| kalman.push(&sample));
-            finds(name, &kalman, &PAPER, 0.01);
+            assert_all(name, &kalman.estimates(), &PAPER, 0.01);
             for mut sample in run_under_steps(&changed, period_s, 6.0, 4).samples() {
                 sample.time_s += 5.0;
                 kalman.push(&sample);
             }
             assert!(kalman.filter.tally.reopened > 0, "{name} {period_s}");
-            finds(name, &kalman, &hot, 0.02);
+            assert_all(name, &kalman.estimates(), &hot, 0.02);
         }
     }
 }
@@ -123,7 +117,7 @@ fn a_bad_sample_is_left_out_and_one_quantity_alone_is_used() {
         kalman.push(&Sample::at(sample.time_s - 0.01).with(Channel::Speed, 1e6));
         kalman.push(&Sample::at(f64::NAN).with(Channel::Speed, 1e6));
     }
-    finds("bad samples", &kalman, &PAPER, 0.01);
+    assert_all("bad samples", &kalman.estimates(), &PAPER, 0.01);
 }
 
 #[test]
@@ -135,13 +129,13 @@ fn a_missing_effect_settles_nothing_until_the_model_has_it() {
     }
     let mut model = unknown();
     model.effects = truth.effects;
-    finds("with the effect", &identify(&model, &run), &PAPER, 0.005);
+    assert_all("with the effect", &identify(&model, &run).estimates(), &PAPER, 0.005);
 }
 
 #[test]
 fn voltage_that_a_limit_of_the_drive_withheld_is_not_learnt() {
     let found = identify(&unknown(), &limited(&run_under_steps(&paper(), 0.001, 4.0, 6), 1.5..2.5));
-    finds("limited", &found, &PAPER, 0.01);
+    assert_all("limited", &found.estimates(), &PAPER, 0.01);
     let settled = |estimate: &ParameterEstimate| estimate.verdict == Verdict::Settled;
     assert!(found.estimates().iter().all(settled));
 }

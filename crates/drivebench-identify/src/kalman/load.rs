@@ -50,7 +50,6 @@ impl LoadError {
     }
 }
 
-/// Estimates the load torque sample by sample.
 #[derive(Clone, Debug)]
 struct LoadTracker {
     filter: Filter,
@@ -175,7 +174,6 @@ pub struct LoadTrace {
     pub notes: Vec<String>,
 }
 
-/// Tracks the load torque through `run` with the parameters of `model`.
 pub fn load_torque_trace(run: &Run, model: &Model) -> Result<LoadTrace, LoadError> {
     use MotorKey::{BackEmf, Inductance, Resistance};
     let mut input = Scenario::from_run(run)?.input;

@@ -7,7 +7,6 @@ use drivebench_model::plant::Motor;
 use rand::SeedableRng as _;
 use rand_distr::{Distribution as _, StandardNormal};
 
-/// The paper's motor under `volts(t)` and a load `load(t)`, sampled every `period_s`.
 fn plant(events: &[(f64, f64)], load: &dyn Fn(f64) -> f64, period_s: f64, seconds: f64) -> Record {
     let [r, l, ke, j, mc] = PAPER;
     let (mut i, mut w) = (0.0_f64, 0.0_f64);

@@ -68,7 +68,6 @@ pub(super) fn cannot_simulate(scenario: &Scenario) -> FitError {
     FitError::CannotSimulate { run: scenario.name.clone() }
 }
 
-/// A fitted model with what is known about its parameters.
 #[derive(Clone, Debug)]
 pub struct Fit {
     pub model: Model,

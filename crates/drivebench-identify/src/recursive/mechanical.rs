@@ -47,7 +47,6 @@ pub(super) struct MechanicalBalance {
     forgetting: f64,
 }
 
-/// One block between two samples.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct MechanicalRow {
     pub(super) begin_s: f64,
@@ -183,7 +182,6 @@ impl MechanicalBalance {
         (self.fits.estimator.rows() > FEWEST_ROWS).then_some((value, std))
     }
 
-    /// Variance of one speed sample's error, (rad/s)^2.
     pub(super) fn noise_variance(&self) -> Option<f64> {
         self.fits.estimator.noise_variance()
     }
@@ -224,7 +222,7 @@ impl MechanicalBalance {
                 &format!(
                     "{} usable rows, at least {FEWEST_ROWS} are needed: largest speed so far {:.2} rad/s, dead zone {:.2} rad/s, {} rows dropped inside it",
                     self.fits.estimator.rows(),
-                    moved.largest_rad_s(),
+                    moved.largest_rad_s,
                     moved.dead_zone_rad_s(),
                     self.blocked_rows
                 ),

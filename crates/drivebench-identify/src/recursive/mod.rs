@@ -23,13 +23,12 @@ const LONGEST_GAP_S: f64 = 0.1;
 /// Sign of the speed from a dead zone, never from noise around zero.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Direction {
-    largest_rad_s: f64,
+    pub(crate) largest_rad_s: f64,
     /// Standard deviation of the speed at standstill, where known.
     pub(crate) noise_rad_s: f64,
 }
 
 impl Direction {
-    /// With the standard deviation of the speed at standstill known.
     pub(crate) fn with_noise(noise_rad_s: f64) -> Self {
         Self { noise_rad_s, ..Self::default() }
     }
@@ -45,10 +44,6 @@ impl Direction {
         // Where the noise is not known, that of any sensor of a motor of some hundred rad/s.
         let noise_rad_s = if self.noise_rad_s > 0.0 { 4.0 * self.noise_rad_s } else { 0.5 };
         noise_rad_s.max(0.01 * self.largest_rad_s)
-    }
-
-    pub(crate) fn largest_rad_s(&self) -> f64 {
-        self.largest_rad_s
     }
 }
 

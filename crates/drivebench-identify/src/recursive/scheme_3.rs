@@ -364,8 +364,8 @@ impl Scheme3 {
                 self.speed_at_rest
                     .deviation()
                     .or_else(|| by_rows(self.balance.noise_variance()))
-                    .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s()),
-                self.direction.largest_rad_s(),
+                    .unwrap_or(NOISE_SHARE * self.direction.largest_rad_s),
+                self.direction.largest_rad_s,
             ),
             by_stamp: 1.0,
         }
@@ -592,7 +592,7 @@ impl Scheme3 {
 
     /// Why the integral of the current between samples is not known yet, once the shaft has moved.
     fn on_trial(&self) -> Option<String> {
-        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let moved = self.direction.largest_rad_s > self.direction.dead_zone_rad_s();
         let rows = match self.trial {
             Trial::Waiting => self.starting.as_ref()?.rows().to_string(),
             Trial::On(rows) => format!("{rows} of the {TRIAL_ROWS} or more of a trial"),
@@ -621,7 +621,7 @@ impl Scheme3 {
         };
         // In steady state the noise of the current passes for its excitation and R and Ke share one voltage: the linear
         // start gives neither without the other.
-        let moved = self.direction.largest_rad_s() > self.direction.dead_zone_rad_s();
+        let moved = self.direction.largest_rad_s > self.direction.dead_zone_rad_s();
         let confounded = starting && moved && !(certain(0) && certain(2));
         (0..3)
             .map(|j| {
@@ -660,7 +660,7 @@ impl Scheme3 {
 
     fn why_not(&self, key: MotorKey, rows: u64) -> String {
         let current = self.largest_current_a;
-        let speed = self.direction.largest_rad_s();
+        let speed = self.direction.largest_rad_s;
         let zone = self.direction.dead_zone_rad_s();
         if self.voltage.is_empty() {
             return "no voltage command yet".into();

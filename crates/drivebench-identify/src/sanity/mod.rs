@@ -46,7 +46,6 @@ use drivebench_model::sample::{Channel, ParameterEstimate, Reason, Run, Side};
 pub enum Kind {
     /// Nothing changes: one operating point.
     Steady,
-    /// The shaft does not turn.
     Standstill,
     /// The terminals are open while a voltage is stated.
     OpenCircuit,

@@ -101,7 +101,6 @@ fn whole_rows(scenario: &Scenario) -> Vec<usize> {
     }
 }
 
-/// One signal by itself.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Activity {
     pub(super) count: usize,

@@ -8,7 +8,6 @@ use crate::testing::{held, paper, put, record, run_of, unknown};
 use drivebench_model::plant::Motor;
 use drivebench_model::sample::Origin;
 
-/// Columns of a bench record.
 #[derive(Clone)]
 struct Columns {
     time_s: Vec<f64>,
@@ -67,7 +66,6 @@ fn hold(values: &mut [f64], rows: std::ops::Range<usize>) {
 }
 
 impl Columns {
-    /// Those of a scenario, without an angle.
     fn of(scenario: Scenario) -> Self {
         Self {
             voltage: Table::new(&scenario).voltage_v,

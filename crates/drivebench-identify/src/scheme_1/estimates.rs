@@ -5,7 +5,6 @@ use crate::verdict::{SETTLED, judge};
 use drivebench_model::plant::{MotorKey, Slot};
 use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
-/// An estimate of the dynamics, and a less biased one to compare it with.
 #[derive(Clone, Debug)]
 pub(crate) struct Claim {
     pub(crate) dynamics: Dynamics,

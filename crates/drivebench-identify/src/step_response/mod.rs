@@ -22,7 +22,6 @@ use drivebench_model::sample::{ParameterEstimate, Reason, Verdict};
 
 use crate::belief::KEYS;
 
-/// A value that was read with its standard deviation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Read {
     pub value: f64,
@@ -41,7 +40,6 @@ impl Read {
     }
 }
 
-/// Parameters of the model from one step, and the notes of the report.
 pub fn estimates(model: &Model, scenario: &Scenario) -> (Vec<ParameterEstimate>, Vec<String>) {
     let given = |key: MotorKey| {
         let is_fixed = model.fixed.iter().any(|fixed| fixed == key.key());
