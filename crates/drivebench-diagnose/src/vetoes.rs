@@ -461,6 +461,9 @@ mod tests {
             (gaps, [1.0, 1.1 * limit_a], false, None),
             ("winding_heating", [2e-3, 1e6], false, None),
             ("cogging", [-0.1, 0.1], false, None),
+            // An event at the begin of the run was always there.
+            ("friction_onset", [8e-4, 0.01 * run.scales.length_s], false, Some("time_s")),
+            ("friction_onset", [8e-4, 0.3 * run.scales.length_s], false, None),
         ] {
             let key = match bound_reached(&active(id, &values), &run, is_shared) {
                 Some(VetoReason::ShapeAtBound { key, .. }) => Some(key),

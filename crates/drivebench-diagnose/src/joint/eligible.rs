@@ -239,3 +239,41 @@ pub(super) fn prepared(scenario: &Scenario, noise_is_known: bool) -> Scenario {
     prepared.scored = 0..used.len();
     prepared
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kit::{nameplate, record};
+    use drivebench_model::plant::effect;
+
+    #[test]
+    fn without_a_current_what_is_in_proportion_to_it_stays_open() {
+        let mut run = record(&nameplate(), 0, 1);
+        let check = |ids: &[&str], run: &Scenario, is_open: bool| {
+            for id in ids {
+                let found = why_not(effect::find(id).unwrap(), run);
+                assert_eq!(found.is_some(), is_open, "{id}: {found:?}");
+            }
+        };
+        let of_current = [
+            "viscous_friction",
+            "supply_sag",
+            "flux_saturation",
+            "inductance_saturation",
+            "winding_heating",
+            "discontinuous_conduction",
+            "current_filter",
+            "current_offset",
+        ];
+        let others = ["stribeck_friction", "quadratic_load", "command_delay", "speed_filter"];
+        let offsets = ["constant_load", "voltage_offset"];
+        check(&[&of_current[..], &others, &offsets].concat(), &run, false);
+        run.current_a.fill(f64::NAN);
+        check(&of_current, &run, true);
+        check(&[&others[..], &offsets].concat(), &run, false);
+        // One way: a constant torque is a part of the friction.
+        run.speed_rad_s.iter_mut().for_each(|speed| *speed = speed.abs());
+        check(&offsets, &run, true);
+        check(&others, &run, false);
+    }
+}
