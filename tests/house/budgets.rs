@@ -6,11 +6,11 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 28_630),
+    ("crates/drivebench-bench", 28_640),
     ("crates/drivebench-control", 6_310),
-    ("crates/drivebench-diagnose", 22_530),
+    ("crates/drivebench-diagnose", 22_750),
     ("crates/drivebench-emulator", 12_990),
-    ("crates/drivebench-identify", 23_650),
+    ("crates/drivebench-identify", 23_670),
     ("crates/drivebench-link", 18_470),
     ("crates/drivebench-model", 17_340),
     ("crates/drivebench-studies", 10_200),
@@ -33,7 +33,7 @@ const BUDGETS: &[(&str, usize)] = &[
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
 /// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 743;
+const MOST_NUMERIC_CONSTANTS: usize = 712;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];
