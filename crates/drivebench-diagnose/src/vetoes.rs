@@ -184,13 +184,19 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
 
 /// The last named effect whose size is not significant in the fit with all of them: to two standard deviations of an event, since it
 /// is the largest of those at all times, and of an effect of which hardly a fall of the error shows that the forms of those before it
-/// do not make it.
+/// do not make it; to three where they explain a thousand times as much.
 fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     let fit = &rungs.last()?.fit;
     let is_without = |(pair, id): &(&[Standing], &&'static str)| {
         let errors = [&rungs[0], &pair[0], &pair[1]].map(|rung| rung.score.nrms);
-        let is_doubtful = is_faint(pair, AS_GOOD) && hides_in_forms(errors);
-        let sigmas = if is_doubtful || happens_once(id) { 2.0 } else { 1.0 };
+        let share = share_of_forms(errors);
+        let sigmas = if share < FORM_SQUARES / 20.0 {
+            3.0
+        } else if is_faint(pair, AS_GOOD) && share < FORM_SQUARES || happens_once(id) {
+            2.0
+        } else {
+            1.0
+        };
         fit.is_significant(id, sigmas * SIGNIFICANT_SIGMAS) == Some(false)
     };
     let (_, effect) = rungs.windows(2).zip(named).rev().find(is_without)?;
@@ -264,9 +270,11 @@ fn by_chance(
     Some(Veto { effect, reason: VetoReason::ByChance })
 }
 
-/// Whether an effect explains less than the forms of those before it may leave; errors without any, before and with it.
-fn hides_in_forms([base, before, after]: [f64; 3]) -> bool {
-    before * before - after * after < FORM_SQUARES * (base * base - before * before)
+/// What an effect explains, as a share of the squares that those before it explain; errors without any, before and with it. Infinite
+/// for the first.
+fn share_of_forms([base, before, after]: [f64; 3]) -> f64 {
+    let explained = base * base - before * before;
+    if explained > 0.0 { (before * before - after * after) / explained } else { f64::INFINITY }
 }
 
 /// The last named effect where all of them together explain hardly anything, and no linear solution of the search is valid, the
@@ -442,7 +450,7 @@ mod tests {
             // The first has no other before it.
             ([1.5, 1.5, 1.495], false),
         ] {
-            assert_eq!(hides_in_forms(errors), hides, "{errors:?}");
+            assert_eq!(share_of_forms(errors) < FORM_SQUARES, hides, "{errors:?}");
         }
     }
 
