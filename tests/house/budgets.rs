@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 28_640),
     ("crates/drivebench-control", 6_310),
-    ("crates/drivebench-diagnose", 22_750),
+    ("crates/drivebench-diagnose", 22_760),
     ("crates/drivebench-emulator", 12_990),
     ("crates/drivebench-identify", 23_670),
     ("crates/drivebench-link", 18_470),
