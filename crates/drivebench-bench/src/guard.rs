@@ -437,7 +437,7 @@ impl Guard {
         let wanted_since_s = self.counts.on_since_s?;
         let (since_s, limit_s) = if self.counts.has_run {
             let since_s = *self.counts.not_running_since_s.get_or_insert(now_s);
-            // The first reply with another state may be a status word of before; the second is not.
+            // The first reply with another state may be a status word of before, which is late by less than 50 ms; the second is not.
             (since_s, 0.05)
         } else {
             (wanted_since_s, self.enable_time_s)
@@ -475,7 +475,7 @@ impl Guard {
     fn restart(&self, now_s: f64, sample: &Sample) -> Option<(f64, f64, f64)> {
         let last = self.last_sample?;
         let (drive_s, host_s) = (sample.time_s - last.sample_s, now_s - last.host_s);
-        // A clock that was on all the time never runs back.
+        // Clocks that differ by more over two samples: the drive was off in between. One that was on all the time never runs back.
         let restart_s = 0.1;
         let most_s =
             if drive_s < 0.0 { restart_s } else { self.limits.link_silence_s.max(restart_s) };
@@ -506,6 +506,7 @@ impl Guard {
 
     /// A condition in too many successive samples; `None`: not yet.
     fn too_often(kind: TripKind, now_s: f64, times: u32, what: &str) -> Option<Trip> {
+        // One bad reply, or two, are of the line; three in a row are of the drive.
         let most = 2;
         let what = format!("{what} in {times} samples running, {most} allowed");
         (times > most).then(|| Trip::new(kind, now_s, (times.into(), most.into()), what))
