@@ -10,7 +10,7 @@ const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-control", 6_310),
     ("crates/drivebench-diagnose", 22_760),
     ("crates/drivebench-emulator", 12_990),
-    ("crates/drivebench-identify", 23_670),
+    ("crates/drivebench-identify", 23_680),
     ("crates/drivebench-link", 18_470),
     ("crates/drivebench-model", 17_340),
     ("crates/drivebench-studies", 10_200),

@@ -67,7 +67,8 @@ pub fn has_no_scale(parameters: &[ParameterEstimate], scenario: &Scenario) -> bo
     lacks_current(scenario) && !parameters.iter().any(is_given)
 }
 
-fn lacks_current(scenario: &Scenario) -> bool {
+/// Whether a voltage drives the run and no current was measured.
+pub fn lacks_current(scenario: &Scenario) -> bool {
     let has_current = scenario.current_a.iter().any(|current| current.is_finite());
     scenario.input == Input::Voltage && !has_current
 }

@@ -21,6 +21,7 @@ use crate::progress::Progress;
 use crate::score::{Fitted, cannot_simulate, in_noise};
 use crate::vetoes::{Veto, VetoReason};
 use crate::work::Work;
+use drivebench_identify::claims::lacks_current;
 use drivebench_identify::noise::FloorSource;
 use drivebench_identify::output_error::FitError;
 use drivebench_model::findings;
@@ -347,9 +348,8 @@ pub(crate) fn infer(
     if let Some(pair) = not_distinguished(&found.hypothesis.model, &runs[0]) {
         share_at_limit(pair, &mut effects, &mut confusable);
     }
-    let has_current = runs[0].current_a.iter().any(|current_a| current_a.is_finite());
     let by_voltage = runs[0].input == Input::Voltage;
-    if by_voltage && !has_current {
+    if lacks_current(&runs[0]) {
         share_without_current(&mut effects, &mut confusable);
     }
     let hides_inductance = by_voltage && !is_inductance_known(&found, &runs[0]);

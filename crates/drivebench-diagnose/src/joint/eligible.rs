@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use crate::mechanical::{depends_on_drive, start_of};
 use drivebench_identify::balance::has_both_power_flows;
+use drivebench_identify::claims::lacks_current;
 use drivebench_identify::noise::noise_in_motion;
 use drivebench_identify::speed_from_angle;
 use drivebench_model::numerics::statistics::{extent, finite};
@@ -24,9 +25,11 @@ pub(crate) fn why_not(effect: &dyn Effect, scenario: &Scenario) -> Option<&'stat
     if acts_at_restarts && starts_from_rest(&scenario.events, scenario.scales.rest_s()).len() < 2 {
         return Some("the run starts from rest once at most: there it is a start delay");
     }
+    if lacks_current(scenario) {
+        return why_not_without_current(effect, scenario);
+    }
     if scenario.input == Input::Voltage {
-        let has_current = scenario.current_a.iter().any(|current_a| current_a.is_finite());
-        return if has_current { None } else { why_not_without_current(effect, scenario) };
+        return None;
     }
     let why_not = match effect.card().enters {
         Enters::Voltage => Some("no voltage drives the run, and it acts in the voltage balance"),
