@@ -8,7 +8,7 @@
 //! (the neighbourhood of the shotgun stochastic search of Hans, Dobra and West, J. Am. Stat. Assoc. 102, 2007), down to Occam's
 //! window (Madigan and Raftery, J. Am. Stat. Assoc. 89, 1994). The probability of an effect is its share among all sets weighed.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 use statrs::function::erf::erfc;
@@ -21,6 +21,8 @@ const SPIKE_SLABS: f64 = 0.004;
 const MOST_EXPANDED: usize = 60;
 const WINDOW_NATS: f64 = 6.0;
 const PLAUSIBLE_NATS: f64 = 7.0;
+/// Sets this far behind the best are not kept: 10^5 of them have a share of 10^-6.
+const NEGLIGIBLE_NATS: f64 = 25.0;
 
 /// For each candidate, the variant that is in.
 pub(super) type Set = Vec<Option<usize>>;
@@ -51,6 +53,14 @@ impl Estimate {
         let at = self.columns.iter().position(|own| *own == column)?;
         Some((self.mean[at], self.covariance[(at, at)]))
     }
+}
+
+/// All columns given some of them, whose base is `L L'`: the explained part of a product is that of two columns of `half`.
+struct Given {
+    /// `L^-1` times the products of the given columns with all, transposed.
+    half: DMatrix<f64>,
+    /// `L^-1` times the right-hand side of the given columns.
+    half_right: DVector<f64>,
 }
 
 /// The problem with the motor's parameters integrated out.
@@ -150,29 +160,41 @@ impl Reduced {
         })
     }
 
-    /// Log posterior odds of each variant of a candidate against its absence, given the columns of others.
-    pub(super) fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
-        let Some(base) = self.base(others) else {
-            let count = self.linear.candidates[candidate].variants.len();
-            return vec![f64::NEG_INFINITY; count];
-        };
-        self.log_odds_given(others, &base, &base.factor.solve(&base.right), candidate)
+    /// All columns given those of others.
+    fn given(&self, others: &[usize]) -> Option<Given> {
+        let Base { factor, right } = self.base(others)?;
+        let factor = factor.unpack();
+        let half_right = factor.solve_lower_triangular(&right)?;
+        // Forward substitution for all columns at once, along the long side of the matrix.
+        let mut half = self.gram.select_columns(others);
+        for own in 0..others.len() {
+            let (before, mut rest) = half.columns_range_pair_mut(0..own, own..);
+            let mut column = rest.column_mut(0);
+            for (earlier, before) in before.column_iter().enumerate() {
+                column.axpy(-factor[(own, earlier)], &before, 1.0);
+            }
+            column /= factor[(own, own)];
+        }
+        Some(Given { half, half_right })
     }
 
-    fn log_odds_given(
-        &self,
-        others: &[usize],
-        base: &Base,
-        mean: &DVector<f64>,
-        candidate: usize,
-    ) -> Vec<f64> {
+    /// Log posterior odds of each variant of a candidate against its absence, given the columns of others.
+    pub(super) fn conditional(&self, others: &[usize], candidate: usize) -> Vec<f64> {
+        self.log_odds_given(self.given(others).as_ref(), candidate)
+    }
+
+    /// The same, given others that may have no solution.
+    fn log_odds_given(&self, given: Option<&Given>, candidate: usize) -> Vec<f64> {
         let c = &self.linear.candidates[candidate];
+        let Some(given) = given else {
+            return vec![f64::NEG_INFINITY; c.variants.len()];
+        };
         let weigh = |variant: &Variant| {
             let own = self.column_indices(variant);
-            let cross = self.products(others, &own);
-            let mut a = self.products(&own, &own) - cross.tr_mul(&base.factor.solve(&cross));
+            let half = given.half.select_rows(&own);
+            let mut a = self.products(&own, &own) - &half * half.transpose();
             add_identity(&mut a);
-            let right = self.right_side(&own) - cross.tr_mul(mean);
+            let right = self.right_side(&own) - half * &given.half_right;
             let Some(schur) = a.cholesky() else {
                 return f64::NEG_INFINITY;
             };
@@ -347,14 +369,18 @@ struct Explored<'a> {
     reduced: &'a Reduced,
     /// Log posterior of each, exact or by the odds of one more effect than a neighbour.
     weighed: HashMap<Set, f64>,
-    /// Log posterior of those factored by themselves.
-    exact: HashMap<Set, f64>,
+    /// Those to which every effect was added.
+    extended: HashSet<Set>,
+    /// Log posterior of the best.
+    top: f64,
 }
 
 impl Explored<'_> {
     fn exactly(&mut self, set: &Set) -> f64 {
-        let log = || self.reduced.log_posterior(set);
-        *self.exact.entry(set.clone()).or_insert_with(log)
+        let log = self.reduced.log_posterior(set);
+        self.weighed.insert(set.clone(), log);
+        self.top = self.top.max(log);
+        log
     }
 
     /// Evaluates every set that differs from `set` by one effect added, removed or exchanged.
@@ -362,47 +388,48 @@ impl Explored<'_> {
         let inside = (0..set.len()).filter(|k| set[*k].is_some());
         let bases = std::iter::once(set.clone()).chain(inside.map(|k| without(set, k)));
         for from in bases {
-            let log = self.exactly(&from);
-            self.weighed.insert(from.clone(), log);
-            self.add_one(&from, log);
+            if self.extended.insert(from.clone()) {
+                self.add_one(&from);
+            }
+        }
+        // Exchanges of effects that exclude each other, where one effect excludes several.
+        for k in (0..set.len()).filter(|k| set[*k].is_none()) {
+            let excluded = |other: &&usize| set[**other].is_some();
+            if self.reduced.linear.candidates[k].excludes.iter().filter(excluded).count() > 1 {
+                let cleared = self.reduced.cleared(set, k);
+                if self.extended.insert(cleared.clone()) {
+                    self.add_one(&cleared);
+                }
+            }
         }
     }
 
-    /// Evaluates every set with one effect more than `from`, whose log posterior is `log`.
-    fn add_one(&mut self, from: &Set, log: f64) {
+    /// Evaluates every set with one effect more than `from`.
+    fn add_one(&mut self, from: &Set) {
         let reduced = self.reduced;
-        let columns = reduced.columns(from);
-        let Some(base) = reduced.base(&columns) else {
-            return;
-        };
-        let mean = base.factor.solve(&base.right);
+        let log = self.exactly(from);
+        let given = reduced.given(&reduced.columns(from));
         for (k, candidate) in reduced.linear.candidates.iter().enumerate() {
-            if from[k].is_some() {
+            if from[k].is_some() || candidate.excludes.iter().any(|other| from[*other].is_some()) {
                 continue;
             }
-            let excludes = candidate.excludes.iter().any(|o| from[*o].is_some());
-            let (next, log, logs) = if excludes {
-                let cleared = reduced.cleared(from, k);
-                let log = self.exactly(&cleared);
-                let logs = reduced.conditional(&reduced.columns(&cleared), k);
-                (cleared, log, logs)
-            } else {
-                (from.clone(), log, reduced.log_odds_given(&columns, &base, &mean, k))
-            };
-            for (v, gain) in logs.iter().enumerate() {
-                let mut with = next.clone();
-                with[k] = Some(v);
-                self.weighed.entry(with).or_insert(log + gain);
+            for (v, gain) in reduced.log_odds_given(given.as_ref(), k).into_iter().enumerate() {
+                let log = log + gain;
+                if log > self.top - NEGLIGIBLE_NATS {
+                    let mut with = from.clone();
+                    with[k] = Some(v);
+                    self.weighed.entry(with).or_insert(log);
+                    self.top = self.top.max(log);
+                }
             }
         }
     }
 
     /// The best set that was not expanded yet, as long as it is near the best of all.
     fn next(&self) -> Option<Set> {
-        let logs = self.weighed.values().copied();
-        let top = logs.fold(f64::NEG_INFINITY, f64::max);
-        let is_open =
-            |(set, log): &(&Set, &f64)| **log > top - WINDOW_NATS && !self.exact.contains_key(*set);
+        let is_open = |(set, log): &(&Set, &f64)| {
+            **log > self.top - WINDOW_NATS && !self.extended.contains(*set)
+        };
         let open = self.weighed.iter().filter(is_open);
         let best = open.max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0)));
         best.map(|(set, _)| set.clone())
@@ -412,10 +439,14 @@ impl Explored<'_> {
 /// Finds the plausible sets, from each of `starts` on.
 pub(super) fn select(reduced: &Reduced, starts: &[Set]) -> Posterior {
     let n = reduced.linear.candidates.len();
-    let mut explored = Explored { reduced, weighed: HashMap::new(), exact: HashMap::new() };
+    let mut explored = Explored {
+        reduced,
+        weighed: HashMap::new(),
+        extended: HashSet::new(),
+        top: f64::NEG_INFINITY,
+    };
     for start in starts {
-        let log = explored.exactly(start);
-        explored.weighed.insert(start.clone(), log);
+        explored.exactly(start);
     }
     let mut queue: Vec<Set> = starts.to_vec();
     for _ in 0..MOST_EXPANDED {
