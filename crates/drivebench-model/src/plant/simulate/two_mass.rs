@@ -585,16 +585,17 @@ fn series(a: &Sparse, x: X, g: [f64; 3], t: f64) -> X {
 
 type Step = steps::Step<Matrices>;
 
-/// One linear mode with a cache of the matrices of its two latest repeated step lengths.
+/// One linear mode with a cache of the matrices of its latest repeated step lengths. Delayed commands at half of the rows' distance
+/// make four of them in turn.
 #[derive(Clone, Debug, Default)]
 struct Flow {
     a: Sparse,
     size: f64,
     with_half: bool,
-    steps: [Step; 2],
+    steps: [Step; 4],
     last: usize,
-    /// Latest length without matrices.
-    missed_s: f64,
+    /// Latest lengths without matrices, the newest first.
+    missed_s: [f64; 4],
     /// Matrices over the range of the series, `1 / size`, times the powers of two.
     powers: Vec<Matrices>,
 }
@@ -606,8 +607,8 @@ impl Flow {
 
     /// Empties the cache, so that the rounding of a run does not depend on the run before.
     fn clear(&mut self) {
-        self.steps = [Step::default(); 2];
-        self.missed_s = 0.0;
+        self.steps = [Step::default(); 4];
+        self.missed_s = [0.0; 4];
     }
 
     /// Prepares a step of this length. A length that occurs once, such as that up to an event, gets no matrices.
@@ -616,10 +617,9 @@ impl Flow {
         if self.steps[self.last].has_length(length_s) {
             return;
         }
-        if self.steps[1 - self.last].has_length(length_s) {
-            self.last = 1 - self.last;
-        } else {
-            self.miss(length_s);
+        match self.steps.iter().position(|step| step.has_length(length_s)) {
+            Some(known) => self.last = known,
+            None => self.miss(length_s),
         }
     }
 
@@ -630,13 +630,14 @@ impl Flow {
             let next = self.powers.last().map_or_else(range, Matrices::doubled);
             self.powers.push(next);
         }
-        if is_same(self.missed_s, length_s) {
-            self.last = 1 - self.last;
+        if self.missed_s.iter().any(|missed_s| is_same(*missed_s, length_s)) {
+            self.last = (self.last + 1) % self.steps.len();
             let half = self.with_half.then(|| self.over(0.5 * length_s));
             let whole = self.over(length_s);
             self.steps[self.last] = Step { length_s, whole, half: half.unwrap_or_default() };
         }
-        self.missed_s = length_s;
+        self.missed_s.rotate_right(1);
+        self.missed_s[0] = length_s;
     }
 
     fn over(&self, length_s: f64) -> Matrices {
