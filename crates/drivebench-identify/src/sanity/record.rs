@@ -217,9 +217,11 @@ fn unsigned(watched: &Watched<'_>) -> Option<Finding> {
     }
     // Where the voltage is clearly of one direction.
     let clear_v = Settings::FAR * voltage.largest();
-    let under = |direction: f64| -> Vec<f64> {
-        let rows = table.voltage_v.iter().zip(watched.values);
-        rows.filter(|(u, x)| direction * **u > clear_v && x.is_finite()).map(|(_, x)| *x).collect()
+    let rows = table.voltage_v.iter().zip(watched.values).filter(|(_, x)| x.is_finite());
+    let direction = |u: f64| f64::from(u8::from(u > clear_v)) - f64::from(u8::from(u < -clear_v));
+    let rows: Vec<(f64, f64)> = rows.map(|(u, x)| (direction(*u), *x)).collect();
+    let under = |wanted: f64| -> Vec<f64> {
+        rows.iter().filter(|row| row.0 == wanted).map(|row| row.1).collect()
     };
     let [ahead, astern] = [1.0, -1.0].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
@@ -229,8 +231,16 @@ fn unsigned(watched: &Watched<'_>) -> Option<Finding> {
     {
         return None;
     }
-    let power = |values: &[f64]| values.iter().map(|x| x * x).sum::<f64>() / values.len() as f64;
-    let (forward, backward, astern) = (power(&ahead), power(&astern), astern.len());
+    // A shaft that slows down and then sticks has turned forward only: its speed has to rise again after its least.
+    let is_speed = *key == Channel::Speed.key();
+    let risen = rows.chunk_by(|a, b| a.0 == b.0).filter(|part| part[0].0 < 0.0).flat_map(|part| {
+        let smaller = |a: &usize, b: &usize| part[*a].1.abs().total_cmp(&part[*b].1.abs());
+        let least = (0..part.len()).min_by(smaller).filter(|_| is_speed).unwrap_or(0);
+        part[least..].iter().map(|row| row.1)
+    });
+    let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>();
+    let forward = squares(&mut ahead.iter().copied()) / ahead.len() as f64;
+    let (backward, astern) = (squares(&mut risen.into_iter()) / astern.len() as f64, astern.len());
     (backward > Settings::CLEAR * forward).then(|| {
         let (values, voltage) = (activity.extent(), table.voltage_key);
         let fault = SignalFault::SignLost { key, values, voltage, rows: astern };

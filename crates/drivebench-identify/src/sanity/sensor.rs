@@ -95,6 +95,12 @@ pub(super) fn stops_suddenly(values: &[f64], sensor: &Sensor, still: &Range<usiz
     let before = usual(still.start.saturating_sub(10)..still.start + 1);
     let after = usual(still.end..(still.end + 11).min(values.len()));
     let lively = |step: f64| sensor.quantum > 0.0 && step > 3.0 * sensor.quantum;
+    // A machine settles in ever smaller steps; a source that freezes stops in the middle of them.
+    let last =
+        (values[still.start.saturating_sub(1)] - values[still.start.saturating_sub(2)]).abs();
+    if !lively(last) {
+        return false;
+    }
     match (before, after) {
         (Some(before), Some(after)) => lively(before) && lively(after),
         // A record may end with it.
