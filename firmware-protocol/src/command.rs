@@ -43,15 +43,6 @@ impl Control {
     }
 }
 
-/// A command block that means nothing; the drive answers exception 03 and leaves everything as it is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CommandError {
-    /// Control word outside 0..=5.
-    Control(u16),
-    /// The set-point is the code for "not available".
-    SetPoint,
-}
-
 /// One command.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct DriveCommand {
@@ -77,15 +68,13 @@ impl DriveCommand {
         block
     }
 
-    /// Reads the block.
-    ///
-    /// # Errors
-    /// An unknown control word, or no set-point where the control word needs one.
-    pub fn from_registers(block: &[u16; COMMAND_WORDS]) -> Result<Self, CommandError> {
+    /// Reads the block. `None` if it means nothing (a control word outside 0..=5, a set-point that is the code for "not
+    /// available"): the drive answers exception 03 and leaves everything as it is.
+    pub fn from_registers(block: &[u16; COMMAND_WORDS]) -> Option<Self> {
         let [seq, control, ..] = *block;
         let set_point = r::SET_POINT.decode(r::SET_POINT.get(block, COMMAND_ADDRESS));
         if set_point.is_nan() {
-            return Err(CommandError::SetPoint);
+            return None;
         }
         let control = match control {
             0 => Control::Disable,
@@ -94,9 +83,9 @@ impl DriveCommand {
             3 => Control::Voltage(set_point),
             4 => Control::Current(set_point),
             5 => Control::Speed(set_point),
-            other => return Err(CommandError::Control(other)),
+            _ => return None,
         };
-        Ok(Self { seq, control })
+        Some(Self { seq, control })
     }
 }
 
@@ -126,7 +115,7 @@ impl CommandBlock {
         if control_changed && !wrote_set_point {
             next.forget_set_point();
         }
-        let command = DriveCommand::from_registers(&next.words).map_err(|_| WriteError::Range)?;
+        let command = DriveCommand::from_registers(&next.words).ok_or(WriteError::Range)?;
         *self = next;
         self.forget_unless_energised(command.control);
         Ok(command)

@@ -30,7 +30,7 @@ mod wire;
 
 pub use bytes::Bytes;
 pub use capture::{CaptureControl, CaptureSample, CaptureState};
-pub use command::{CommandBlock, CommandError, Control, DriveCommand};
+pub use command::{CommandBlock, Control, DriveCommand};
 pub use identity::{DeviceKind, Identity, IdentityError};
 pub use registers::{PROTOCOL_VERSION, REGISTERS, Register};
 pub use telemetry::{Fault, State, Status, Telemetry};

@@ -75,8 +75,6 @@ pub enum Access {
 pub struct Register {
     /// Protocol address of the first word.
     pub address: u16,
-    /// Registers that one value takes.
-    pub words: u8,
     /// Unique key.
     pub name: &'static str,
     /// SI unit of the scaled value; empty for a count or a code.
@@ -103,7 +101,6 @@ pub struct Register {
 const fn count(address: u16, name: &'static str, kind: Kind, meaning: &'static str) -> Register {
     Register {
         address,
-        words: kind.words(),
         name,
         unit: "",
         scale: 1.0,
@@ -224,7 +221,8 @@ pub const CAPTURE_ADDRESS: u16 = CAPTURE_CONTROL.address;
 pub const CAPTURE_WORDS: usize = block_words(CAPTURE_CONTROL, WINDOW_SPEED);
 
 const fn block_words(first: Register, last: Register) -> usize {
-    (last.address + (last.repeat - 1) * last.stride + last.words as u16 - first.address) as usize
+    (last.address + (last.repeat - 1) * last.stride + last.kind.words() as u16 - first.address)
+        as usize
 }
 
 impl Register {
@@ -272,7 +270,7 @@ impl Register {
         let bytes = raw.to_be_bytes();
         let low = [bytes[4], bytes[5], bytes[6], bytes[7]];
         let words = [u16::from_be_bytes([low[0], low[1]]), u16::from_be_bytes([low[2], low[3]])];
-        let words = if self.words == 1 { &words[1..] } else { &words[..] };
+        let words = if self.kind.words() == 1 { &words[1..] } else { &words[..] };
         for (slot, word) in block.iter_mut().skip(at).zip(words) {
             *slot = *word;
         }
@@ -336,7 +334,7 @@ pub fn find(address: u16) -> Option<(&'static Register, u8)> {
             0 => (0, offset),
             stride => (offset / stride, offset % stride),
         };
-        (copy < register.repeat && word < u16::from(register.words))
+        (copy < register.repeat && word < u16::from(register.kind.words()))
             .then_some((register, u8::try_from(word).unwrap_or(0)))
     })
 }
@@ -363,7 +361,7 @@ pub fn check_write(address: u16, values: &[u16]) -> Result<(), WriteError> {
         if register.access == Access::Read {
             return Err(WriteError::ReadOnly);
         }
-        let words = usize::from(register.words);
+        let words = usize::from(register.kind.words());
         if word != 0 || rest.len() < words {
             return Err(WriteError::HalfValue);
         }
@@ -371,7 +369,7 @@ pub fn check_write(address: u16, values: &[u16]) -> Result<(), WriteError> {
             return Err(WriteError::Range);
         }
         rest = &rest[words..];
-        at = match at.checked_add(u16::from(register.words)) {
+        at = match at.checked_add(u16::from(register.kind.words())) {
             Some(next) => next,
             None if rest.is_empty() => break,
             None => return Err(WriteError::NoRegister),

@@ -64,80 +64,47 @@ impl Status {
     }
 }
 
-/// Why the drive stopped itself.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Fault {
-    /// No fault.
-    #[default]
-    None,
-    /// No command came within the watchdog time.
-    Watchdog,
-    /// Current above the trip level.
-    OverCurrent,
-    /// Voltage of the intermediate circuit too high.
-    OverVoltage,
-    /// Voltage of the intermediate circuit too low.
-    UnderVoltage,
-    /// Output stage or motor too hot.
-    OverTemperature,
-    /// Speed above the speed limit.
-    OverSpeed,
-    /// A command block that means nothing reached the control.
-    BadCommand,
-    /// Current, speed or angle sensor failed.
-    Sensor,
-    /// Anything else inside the drive.
-    Internal,
-    /// A code of a later version.
-    Other(u16),
+/// Declares the faults: for each its name and what has happened; the code of a fault is its position.
+macro_rules! faults {
+    ($($(#[$doc:meta])* $fault:ident, $name:literal, $text:literal;)*) => {
+        /// Why the drive stopped itself.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub enum Fault {
+            $($(#[$doc])* #[doc = $text] $fault,)*
+            /// A code of a later version.
+            Other(u16),
+        }
+
+        impl Fault {
+            const NAMED: &[(Self, &str, &str)] = &[$((Self::$fault, $name, $text)),*];
+        }
+    };
+}
+
+faults! {
+    #[default] None, "none", "no fault";
+    Watchdog, "watchdog", "no command came within the watchdog time";
+    OverCurrent, "over-current", "current above the trip level";
+    OverVoltage, "over-voltage", "intermediate circuit: voltage too high";
+    UnderVoltage, "under-voltage", "intermediate circuit: voltage too low";
+    OverTemperature, "over-temperature", "output stage or motor too hot";
+    OverSpeed, "over-speed", "speed above the speed limit";
+    BadCommand, "bad command", "a command block that means nothing";
+    Sensor, "sensor", "current, speed or angle sensor failed";
+    Internal, "internal", "internal fault";
 }
 
 impl Fault {
-    /// Every named fault at the position of its code.
-    const NAMES: [(Self, &'static str); 10] = [
-        (Self::None, "none"),
-        (Self::Watchdog, "watchdog"),
-        (Self::OverCurrent, "over-current"),
-        (Self::OverVoltage, "over-voltage"),
-        (Self::UnderVoltage, "under-voltage"),
-        (Self::OverTemperature, "over-temperature"),
-        (Self::OverSpeed, "over-speed"),
-        (Self::BadCommand, "bad command"),
-        (Self::Sensor, "sensor"),
-        (Self::Internal, "internal"),
-    ];
-
     /// Every named fault, by rising code.
     pub fn all() -> impl Iterator<Item = Self> {
-        Self::NAMES.into_iter().map(|(fault, _)| fault)
+        Self::NAMED.iter().map(|(fault, ..)| *fault)
     }
 
     /// Code in the fault register.
     pub fn code(self) -> u16 {
         match self {
             Self::Other(code) => code,
-            named => {
-                let mut faults = (0..).zip(Self::all());
-                let found = faults.find(|(_, fault)| *fault == named);
-                found.map_or(0, |(code, _)| code)
-            }
-        }
-    }
-
-    /// What has happened, in words.
-    pub const fn text(self) -> &'static str {
-        match self {
-            Self::None => "no fault",
-            Self::Watchdog => "no command came within the watchdog time",
-            Self::OverCurrent => "current above the trip level",
-            Self::OverVoltage => "intermediate circuit: voltage too high",
-            Self::UnderVoltage => "intermediate circuit: voltage too low",
-            Self::OverTemperature => "output stage or motor too hot",
-            Self::OverSpeed => "speed above the speed limit",
-            Self::BadCommand => "a command block that means nothing",
-            Self::Sensor => "current, speed or angle sensor failed",
-            Self::Internal => "internal fault",
-            Self::Other(_) => "a code that this version does not know",
+            named => (0..).zip(Self::all()).find(|(_, fault)| *fault == named).map_or(0, |it| it.0),
         }
     }
 
@@ -146,11 +113,18 @@ impl Fault {
         Self::all().nth(code.into()).unwrap_or(Self::Other(code))
     }
 
+    /// What has happened, in words.
+    pub fn text(self) -> &'static str {
+        self.row().map_or("a code that this version does not know", |(_, _, text)| text)
+    }
+
     /// Words for a person.
     pub fn name(self) -> &'static str {
-        let mut names = Self::NAMES.into_iter();
-        let found = names.find(|(fault, _)| *fault == self);
-        found.map_or("unknown", |(_, name)| name)
+        self.row().map_or("unknown", |(_, name, _)| name)
+    }
+
+    fn row(self) -> Option<&'static (Self, &'static str, &'static str)> {
+        Self::NAMED.iter().find(|(fault, ..)| *fault == self)
     }
 }
 

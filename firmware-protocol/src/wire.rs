@@ -57,9 +57,8 @@ impl Source for Words<'_> {
 
 /// The register as the stream carries it.
 pub(crate) fn on_stream(register: &Register) -> Register {
-    if register.words == 1 && register.steps_per_unit() > 1.0 {
+    if register.kind.words() == 1 && register.steps_per_unit() > 1.0 {
         Register {
-            words: 2,
             scale: register.scale / 1000.0,
             kind: Kind::I32,
             min: Kind::I32.lowest() + 1,

@@ -175,7 +175,7 @@ impl Message {
             MessageType::Command => {
                 let [control, high, low] = reader.words()?;
                 let block: [u16; COMMAND_WORDS] = [seq, control, high, low];
-                Self::Command(DriveCommand::from_registers(&block).ok()?)
+                Self::Command(DriveCommand::from_registers(&block)?)
             }
             MessageType::TelemetryRequest => Self::TelemetryRequest,
             MessageType::SetWatchdog => Self::SetWatchdog(reader.words::<1>()?[0]),

@@ -24,7 +24,7 @@ impl Sink for Plain {
             return;
         }
         let bytes = raw.to_be_bytes();
-        self.extend(&bytes[8 - 2 * usize::from(register.words)..]);
+        self.extend(&bytes[8 - 2 * usize::from(register.kind.words())..]);
     }
 
     fn value(&mut self, register: &Register, value: f64) {
@@ -73,7 +73,7 @@ impl Source for Reader<'_> {
         if *register == r::TIME {
             return self.time_us.into();
         }
-        let words = if register.words == 1 {
+        let words = if register.kind.words() == 1 {
             self.words::<1>().map(|[word]| [word, 0])
         } else {
             self.words::<2>()

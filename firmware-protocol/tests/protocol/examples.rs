@@ -174,7 +174,7 @@ fn registers(address: u16, bytes: &[u8]) -> Vec<Field> {
         .map(|register| {
             let value = register.decode(register.get(&block, address));
             let name = format!("{} = {value} {}", register.name, register.unit);
-            (name.trim_end().to_owned(), 2 * usize::from(register.words))
+            (name.trim_end().to_owned(), 2 * usize::from(register.kind.words()))
         })
         .collect()
 }

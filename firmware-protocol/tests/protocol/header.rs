@@ -52,7 +52,7 @@ fn header() -> String {
             let steps = (1.0 / register.scale).round();
             define(&format!("{name}_PER_UNIT"), steps.to_string());
             if register.address < COMMAND_ADDRESS {
-                let finer = if register.words == 1 { 1000.0 } else { 1.0 };
+                let finer = if register.kind.words() == 1 { 1000.0 } else { 1.0 };
                 let name = format!("STREAM_{}_PER_UNIT", register.name);
                 define(&name, (finer * steps).to_string());
             }
@@ -128,7 +128,7 @@ fn table() -> String {
             " \\\n    X({}, {}, {}, {}, {}, {}, {}, {}, {})",
             register.name.to_uppercase(),
             register.address,
-            register.words,
+            register.kind.words(),
             u8::from(matches!(register.kind, Kind::I16 | Kind::I32)),
             u8::from(register.access == Access::ReadWrite),
             register.min,

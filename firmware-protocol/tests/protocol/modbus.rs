@@ -202,15 +202,6 @@ fn an_unknown_function_is_refused_after_the_gap() {
 }
 
 #[test]
-fn two_requests_back_to_back_get_two_answers() {
-    let (mut receiver, mut bank) = (RtuReceiver::new(UNIT), Bank::new());
-    let line = [frame(UNIT, "03 00 40 00 01"), frame(UNIT, "03 00 41 00 01")].concat();
-    let answers = serve(&mut receiver, &mut bank, &line, false);
-    let wanted = ["03 02 44 42", "03 02 00 01"].map(|pdu| hex(&frame(UNIT, pdu)));
-    assert_eq!(answers, wanted);
-}
-
-#[test]
 fn a_frame_is_found_behind_garbage_and_others_answers() {
     let good = frame(UNIT, "03 00 40 00 01");
     for before in [

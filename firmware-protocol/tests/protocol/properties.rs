@@ -246,8 +246,11 @@ proptest! {
     }
 
     #[test]
-    fn commands_survive_block_and_stream(seq in any::<u16>(), kind in 3_u8..6, set_point in -2e6..2e6) {
+    fn commands_survive_block_and_stream(seq in any::<u16>(), kind in 0_u8..6, set_point in -2e6..2e6) {
         let control = match kind {
+            0 => Control::Disable,
+            1 => Control::Stop,
+            2 => Control::ResetFault,
             3 => Control::Voltage(set_point),
             4 => Control::Current(set_point),
             _ => Control::Speed(set_point),
@@ -255,7 +258,7 @@ proptest! {
         let sent = DriveCommand { seq, control };
         let got = DriveCommand::from_registers(&sent.to_registers()).unwrap();
         prop_assert_eq!((got.seq, got.control.code()), (seq, control.code()));
-        prop_assert!((got.control.set_point() - set_point).abs() <= 0.5e-3 * 1.000_001);
+        prop_assert!((got.control.set_point() - control.set_point()).abs() <= 0.5e-3 * 1.000_001);
         prop_assert_eq!(decode(&stream_frame(&Frame::command(sent))), vec![Ok(Frame::command(got))]);
     }
 

@@ -87,7 +87,7 @@ fn block(addresses: std::ops::Range<u16>) -> String {
 
 fn places(register: &Register) -> String {
     let first = register.address;
-    match (register.repeat, register.words) {
+    match (register.repeat, register.kind.words()) {
         (1, 1) => first.to_string(),
         (1, words) => format!("{first}-{}", first + u16::from(words) - 1),
         (repeat, _) => format!(
@@ -165,7 +165,7 @@ fn telemetry_fields() -> Vec<(&'static str, &'static str, String, &'static str)>
         .iter()
         .filter(|register| register.address < COMMAND_ADDRESS && register.name != "time")
         .map(|register| {
-            let finer = register.words == 1 && register.scale < 1.0;
+            let finer = register.kind.words() == 1 && register.scale < 1.0;
             let (kind, scale) = if finer {
                 let steps = (1000.0 / register.scale).round();
                 ("i32", (1.0 / steps).to_string())

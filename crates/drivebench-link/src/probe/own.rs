@@ -69,7 +69,7 @@ fn take(
             .and_then(|(quantity, unit)| expected_at_rest(quantity, unit, current_limit_a));
         let within = |[low, high]: [f64; 2]| known.is_some_and(|v| (low..=high).contains(&v));
         let from = usize::from(row.address - TELEMETRY_ADDRESS);
-        let raw = block.get(from..from + usize::from(row.words));
+        let raw = block.get(from..from + usize::from(row.kind.words()));
         report.signals.push(ProbedSignal {
             name: row.name.to_owned(),
             unit: row.unit,
