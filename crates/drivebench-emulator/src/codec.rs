@@ -214,77 +214,23 @@ fn answer_rtu(
 
 #[cfg(test)]
 mod tests {
-    use firmware_protocol::stream::{Frame, Message};
-    use proptest::prelude::*;
-
     use super::*;
     use crate::EmulatorConfig;
 
-    /// Takes these bytes, and then the silence after them; the answers.
-    fn push_all(codec: &mut Codec, bytes: &[u8], drive: &mut SoftDrive) -> Vec<Vec<u8>> {
-        let mut answers = Vec::new();
-        let mut bytes = bytes.iter();
-        // Bytes of another protocol end the connection.
-        let _ = bytes.try_for_each(|byte| codec.push(*byte, drive, &mut || true, &mut answers));
-        codec.idle(drive, &mut answers);
-        answers
-    }
-
-    fn answers(kind: Protocol, bytes: &[u8]) -> Vec<Vec<u8>> {
-        let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
-        push_all(&mut Codec::new(kind, UNIT), bytes, &mut drive)
-    }
-
-    fn rtu_frame(unit: u8, pdu: &[u8]) -> Vec<u8> {
-        rtu::encode_frame(unit, pdu).to_vec()
-    }
-
     #[test]
-    fn each_protocol_answers_its_own_frames_only() {
-        let read = [3, 0, 0, 0, 16];
-        let rtu = |bytes: &[u8]| answers(Protocol::ModbusRtu, bytes);
-        assert_eq!(rtu(&rtu_frame(1, &read))[0].len(), 37);
-        let mut damaged = rtu_frame(1, &read);
+    fn other_units_broadcasts_and_damage_get_no_answer() {
+        let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
+        let frame = |unit| rtu::encode_frame(unit, &[6, 0, 73, 0, 100]).to_vec();
+        let mut damaged = frame(UNIT);
         damaged[3] ^= 1;
-        for silent in [rtu_frame(2, &read), rtu_frame(0, &read), damaged] {
-            assert!(rtu(&silent).is_empty(), "{silent:?}");
-        }
-        for (request, exception) in [
-            (&[7][..], [0x87, 1]),
-            (&[3, 0, 16, 0, 1], [0x83, 2]),
-            (&[3, 0, 0, 0, 0], [0x83, 3]),
-            (&[3, 0, 0, 0, 126], [0x83, 3]),
-            (&[6, 0, 0, 0, 1], [0x86, 2]),
-            (&[6, 0, 33, 0, 9], [0x86, 3]),
-        ] {
-            assert_eq!(rtu(&rtu_frame(1, request)), [rtu_frame(1, &exception)], "{request:?}");
-        }
-        let tcp = |bytes: &[u8]| answers(Protocol::ModbusTcp, bytes);
-        let request = tcp::encode_frame(0x1234, 1, &[3, 0, 0, 0, 2]);
-        assert_eq!(tcp(&request)[0][..9], [0x12, 0x34, 0, 0, 0, 7, 1, 3, 4]);
-        assert!(tcp(b"GET / HTTP/1.1\r\n\r\n").is_empty());
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig::with_cases(64))]
-
-        /// After any bytes and a silence the drive answers the next request.
-        #[test]
-        fn noise_never_makes_the_drive_deaf(noise in prop::collection::vec(any::<u8>(), 0..400)) {
-            let mut drive = SoftDrive::new(&EmulatorConfig::embedded_default(), 1);
-            let hello = stream::encode(&Frame::ask(7, Message::Hello));
-            for (kind, request) in [
-                (Protocol::ModbusRtu, rtu_frame(1, &[3, 0, 0, 0, 16])),
-                // An empty frame ends whatever the noise began.
-                (Protocol::Stream, [&[0][..], &hello].concat()),
-            ] {
-                let mut codec = Codec::new(kind, UNIT);
-                push_all(&mut codec, &noise, &mut drive);
-                let answers = push_all(&mut codec, &request, &mut drive);
-                prop_assert_eq!(answers.last().map(|answer| answer.len() >= 37), Some(true));
+        for (request, answers) in [(frame(2), 0), (damaged, 0), (frame(0), 0), (frame(UNIT), 1)] {
+            let mut codec = Codec::new(Protocol::ModbusRtu, UNIT);
+            let mut said = Vec::new();
+            for byte in &request {
+                codec.push(*byte, &mut drive, &mut || true, &mut said).unwrap();
             }
-            // A wrong header ends the connection; anything else is served.
-            push_all(&mut Codec::new(Protocol::ModbusTcp, UNIT), &noise, &mut drive);
+            codec.idle(&mut drive, &mut said);
+            assert_eq!(said.len(), answers, "{request:?}");
         }
     }
 }

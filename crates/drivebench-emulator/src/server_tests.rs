@@ -6,12 +6,10 @@ use std::net::TcpStream;
 
 use firmware_protocol::modbus::rtu;
 use firmware_protocol::registers::{COMMAND_WORDS, TELEMETRY_WORDS};
-use firmware_protocol::stream::{self, Frame, Message};
 use firmware_protocol::{Control, DriveCommand, State, Telemetry};
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use std::os::fd::AsFd;
 use tokio_modbus::client::{Reader, Writer};
-use tokio_modbus::slave::SlaveContext;
 use tokio_modbus::{ExceptionCode, Slave, prelude};
 
 use super::*;
@@ -147,23 +145,6 @@ fn receive_now(host: &mut File) -> usize {
 }
 
 #[test]
-fn a_host_that_goes_leaves_the_motor_to_the_watchdog() {
-    let mut config = config(0);
-    config.watchdog_ms = 200;
-    let server = spawn(config, 1, Protocol::ModbusRtu, Endpoint::temporary_pty()).unwrap();
-    let mut host = open(&server);
-    let status = exchange(&mut host, volts(1, 24.0)).status;
-    assert_eq!(status.state(), Some(State::Running));
-    drop(host);
-    thread::sleep(Duration::from_millis(250));
-    wait_until(|| server.sessions() >= 2);
-    let telemetry = exchange(&mut open(&server), volts(2, 24.0));
-    assert_eq!(telemetry.status.state(), Some(State::Fault));
-    assert_eq!(telemetry.fault, firmware_protocol::Fault::Watchdog);
-    assert!(telemetry.voltage_cmd_v == 0.0);
-}
-
-#[test]
 fn a_command_written_just_before_the_close_still_counts() {
     let server = pty(Protocol::ModbusRtu, 115_200);
     let mut host = open(&server);
@@ -176,32 +157,6 @@ fn a_command_written_just_before_the_close_still_counts() {
     let telemetry = telemetry(&receive(&mut host, 37));
     assert_eq!(telemetry.seq, 2);
     assert_eq!(telemetry.status.state(), Some(State::Ready));
-}
-
-#[test]
-fn tokio_modbus_reads_and_writes_over_the_pseudo_terminal() {
-    let server = pty(Protocol::ModbusRtu, 115_200);
-    let runtime = runtime();
-    runtime.block_on(async {
-        let port = tokio_serial::SerialStream::open(&tokio_serial::new(server.address(), 115_200))
-            .unwrap();
-        let mut host = prelude::rtu::attach_slave(port, Slave(UNIT));
-        let words = host.read_holding_registers(0, 16).await.unwrap().unwrap();
-        let version = firmware_protocol::PROTOCOL_VERSION;
-        assert_eq!((words.len(), words[15]), (16, version));
-        let words = host.read_input_registers(0, 16).await.unwrap().unwrap();
-        assert_eq!(words[15], version);
-        let [first, second] = [77, 78].map(|seq| volts(seq, 10.0).to_registers());
-        host.write_multiple_registers(32, &first).await.unwrap().unwrap();
-        let words = host.read_write_multiple_registers(0, 16, 32, &second).await;
-        assert_eq!(words.unwrap().unwrap()[2], 78);
-        let refused = host.read_holding_registers(16, 1).await.unwrap();
-        assert_eq!(refused, Err(ExceptionCode::IllegalDataAddress));
-        host.set_slave(Slave(9));
-        let foreign =
-            tokio::time::timeout(Duration::from_millis(60), host.read_holding_registers(0, 1));
-        assert!(foreign.await.is_err(), "silent for another unit");
-    });
 }
 
 async fn connected(server: &ServerHandle) -> tokio_modbus::client::Context {
@@ -243,32 +198,6 @@ fn the_command_passes_on_where_its_holder_is_silent_or_gone() {
     assert!(!commander.takes(1, 2.0 + HAND_OVER_S));
     commander.leaves(2);
     assert!(commander.takes(1, 2.0 + HAND_OVER_S));
-}
-
-#[test]
-fn the_stream_runs_over_both_transports() {
-    let question = stream::encode(&Frame::command(volts(9, 3.0)));
-    let answer = |host: &mut dyn Read| {
-        let mut decoder = stream::Decoder::new();
-        let mut byte = [0];
-        loop {
-            host.read_exact(&mut byte).unwrap();
-            if let Some(frame) = decoder.push(byte[0]) {
-                break frame.unwrap();
-            }
-        }
-    };
-    let serial = pty(Protocol::Stream, 921_600);
-    let mut host = open(&serial);
-    host.write_all(&question).unwrap();
-    let over_serial = answer(&mut host);
-    let network = network(Protocol::Stream);
-    let mut host = TcpStream::connect(network.address()).unwrap();
-    host.write_all(&question).unwrap();
-    for frame in [over_serial, answer(&mut host)] {
-        assert_eq!(frame.seq, 9);
-        assert!(matches!(frame.message, Message::Telemetry(telemetry) if telemetry.seq == 9));
-    }
 }
 
 #[test]

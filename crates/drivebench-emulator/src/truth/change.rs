@@ -76,27 +76,3 @@ impl Changes {
         &self.now
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn each_change_holds_until_the_next_and_a_restart_undoes_all() {
-        let at = |time_s, inertia_ratio| Change { time_s, inertia_ratio, ..Change::NONE };
-        let mut changes = Changes::new(vec![at(1.0, 0.25), at(2.0, 5.0)]);
-        let mut ratio = |time_s| {
-            changes.advance_to(time_s);
-            changes.now().inertia_ratio
-        };
-        for (time_s, expected) in
-            [(0.0, 1.0), (0.99, 1.0), (1.0, 0.25), (1.5, 0.25), (2.0, 5.0), (9.0, 5.0)]
-        {
-            assert!((ratio(time_s) - expected).abs() < 1e-12, "{time_s}");
-        }
-        changes.restart();
-        assert_eq!(changes.now(), &Change::NONE);
-        changes.advance_to(9.0);
-        assert_eq!(changes.now(), &at(2.0, 5.0));
-    }
-}

@@ -89,14 +89,6 @@ fn a_shaft_that_passes_zero_keeps_its_bristle() {
 }
 
 #[test]
-fn no_load_speed_is_where_the_voltage_balances() {
-    let plant = after(&[], 110.0, 2.0);
-    let current = 0.455 / 0.3538;
-    assert!((plant.current_a() - current).abs() < 1e-9);
-    assert!((plant.speed_rad_s() - (110.0 - 1.1 * current) / 0.3538).abs() < 1e-7);
-}
-
-#[test]
 fn an_open_circuit_coasts_down_on_a_straight_line() {
     let mut plant = after(&[], 60.0, 2.0);
     let open = Terminals::Open { bus_v: 120.0 };
@@ -160,15 +152,6 @@ fn halving_the_step_shows_the_order_through_stick_and_reversal() {
 }
 
 #[test]
-fn drag_lowers_the_speed_by_its_torque() {
-    let value = ("viscous_n_m_s_per_rad", 4e-4);
-    let plant = after(&[hidden("viscous_friction", &[value])], 110.0, 3.0);
-    let w: f64 = plant.speed_rad_s();
-    let drag = 4e-4 * 586.4 * (w / 586.4).asinh();
-    assert!((0.3538 * plant.current_a() - 0.455 - drag).abs() < 1e-9);
-}
-
-#[test]
 fn the_voltage_for_a_current_brings_that_current() {
     let mut plant = Plant::new(zk_22fc(), &[]);
     for _ in 0..2000 {
@@ -205,26 +188,14 @@ proptest! {
         run(&mut plant, Terminals::Voltage(hold), 0.5, H);
         prop_assert!(plant.angle_rad().to_bits() == angle.to_bits());
     }
-
-    /// The machine has no preferred direction.
-    #[test]
-    fn mirrored_voltage_gives_mirrored_motion(levels in prop::collection::vec(-60.0..60.0_f64, 1..6)) {
-        let hidden = [stribeck()];
-        let (mut plus, mut minus) = (Plant::new(zk_22fc(), &hidden), Plant::new(zk_22fc(), &hidden));
-        for level in levels {
-            run(&mut plus, Terminals::Voltage(level), 0.05, H);
-            run(&mut minus, Terminals::Voltage(-level), 0.05, H);
-            prop_assert!(plus.speed_rad_s().to_bits() == (-minus.speed_rad_s()).to_bits()
-                || (plus.speed_rad_s() == 0.0 && minus.speed_rad_s() == 0.0));
-        }
-    }
 }
 
 #[test]
 fn a_changed_inertia_keeps_speed_and_divides_acceleration() {
-    let changes = vec![Change { time_s: 1.0, inertia_ratio: 4.0, load_n_m: 0.0 }];
+    let change = |time_s, inertia_ratio| Change { time_s, inertia_ratio, load_n_m: 0.0 };
+    let changes = vec![change(0.2, 2.0), change(1.0, 4.0)];
     let mut plant = Plant::new(zk_22fc(), &[]).with_changes(changes);
-    // Nothing but friction brakes: Mc/J before, a quarter of it afterwards.
+    // Nothing but friction brakes: Mc/J without a change, a half and a quarter of it with them.
     run(&mut plant, Terminals::Voltage(60.0), 0.5, H);
     let open = Terminals::Open { bus_v: 1000.0 };
     run(&mut plant, open, 0.3, H);
@@ -234,7 +205,7 @@ fn a_changed_inertia_keeps_speed_and_divides_acceleration() {
         (plant.speed_rad_s() - before) / 0.1
     };
     let expected = -0.455 / 0.0045;
-    assert!((slope(&mut plant) / expected - 1.0).abs() < 1e-6);
+    assert!((slope(&mut plant) / expected - 0.5).abs() < 1e-6);
     run(&mut plant, open, 0.1 - H, H);
     let before = plant.speed_rad_s();
     run(&mut plant, open, 2.0 * H, H);

@@ -58,28 +58,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn stiffness_gives_the_frequency_and_play_carries_nothing() {
-        let site = Site::of(&zk_22fc());
-        let shaft = Shaft::new(&site, [20.0, 0.4, 0.0, 0.5], 0.0, 0.03);
-        // w^2 = k (1/J1 + 1/J2)
-        let per_rad = shaft.torque_n_m(1e-6, 0.0) / 1e-6;
-        let inertia = |share: f64| share * site.motor.inertia_kg_m2;
-        let square = per_rad * (1.0 / inertia(0.6) + 1.0 / inertia(0.4));
-        assert!((square.sqrt() / std::f64::consts::TAU - 20.0).abs() < 1e-6);
-
-        let loose = Shaft::new(&site, [20.0, 0.4, 0.0, 0.5], 0.04, 0.03);
-        assert!(loose.torque_n_m(0.0199, 0.0) == 0.0);
-        let beyond = loose.torque_n_m(-0.03, 0.0);
-        assert!((beyond - shaft.torque_n_m(-0.01, 0.0)).abs() < 1e-12);
-    }
-
-    #[test]
-    fn a_rated_torque_makes_it_a_few_percent_stiffer() {
+    fn a_rated_torque_makes_it_a_few_percent_stiffer_and_play_shifts_it() {
         let site = Site::of(&zk_22fc());
         let shaft = Shaft::new(&site, [20.0, 0.4, 0.05, 0.5], 0.0, 0.03);
         let linear = shaft.torque_n_m(1e-6, 0.0) / 1e-6;
         let twist = site.rated_torque_n_m() / linear;
         let ratio = shaft.torque_n_m(twist, 0.0) / site.rated_torque_n_m();
         assert!((ratio - 1.0 - 0.03).abs() < 1e-6, "{ratio}");
+        let loose = Shaft::new(&site, [20.0, 0.4, 0.05, 0.5], 0.04, 0.03);
+        assert!(loose.torque_n_m(0.0199, 0.0) == 0.0, "play carries nothing");
+        let beyond = loose.torque_n_m(-0.03, 0.0) - shaft.torque_n_m(-0.01, 0.0);
+        assert!(beyond.abs() < 1e-12, "{beyond}");
     }
 }

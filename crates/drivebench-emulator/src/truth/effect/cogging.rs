@@ -51,28 +51,3 @@ pub(super) fn slots(first_harmonic: [f64; 3], second: f64) -> Box<dyn Mechanism>
     let series = Harmonics::new(first_harmonic, second);
     load(move |at| series.at(at.angle_rad))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Fourier coefficients of the order `k N` over one turn.
-    fn coefficients(series: &Harmonics, k: f64) -> (f64, f64) {
-        let n = 720_u32;
-        let sums = (0..n).fold((0.0, 0.0), |(sin, cos), step| {
-            let angle = std::f64::consts::TAU * f64::from(step) / f64::from(n);
-            let torque = series.at(angle);
-            (sin + torque * (k * angle).sin(), cos + torque * (k * angle).cos())
-        });
-        (2.0 * sums.0 / f64::from(n), 2.0 * sums.1 / f64::from(n))
-    }
-
-    #[test]
-    fn the_second_harmonic_is_a_tenth_of_the_first() {
-        let series = Harmonics::new([7.0, 0.06, -0.08], SECOND_HARMONIC);
-        let (sin, cos) = coefficients(&series, 7.0);
-        assert!((sin - 0.06).abs() < 1e-12 && (cos + 0.08).abs() < 1e-12);
-        let (sin, cos) = coefficients(&series, 14.0);
-        assert!((sin.hypot(cos) - 0.01).abs() < 1e-12);
-    }
-}

@@ -52,25 +52,3 @@ impl Mechanism for Column {
         self.torque_n_m += (settled_n_m - self.torque_n_m) * step_s / self.time_constant_s;
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn follows_the_speed_by_its_time_constant_and_goes_on_at_rest() {
-        let mut column = KIND.mechanism(&[1.8e-6, 0.3]);
-        let mut after = |speed_rad_s: f64, steps: usize| {
-            let at = Moment { speed_rad_s, ..Moment::default() };
-            for _ in 0..steps {
-                column.advance(50e-6, &at, 0.0);
-            }
-            column.load_torque_n_m(&at)
-        };
-        // Steps of 50 us: one time constant, ten, one at rest.
-        let full = 1.8e-6 * 293.2 * 293.2;
-        assert!((after(293.2, 6_000) / full - 0.632).abs() < 1e-3);
-        assert!((after(293.2, 60_000) / full - 1.0).abs() < 1e-3);
-        assert!((after(0.0, 6_000) / full - 0.368).abs() < 1e-3);
-    }
-}

@@ -23,17 +23,3 @@ pub(super) const KIND: HiddenKind = HiddenKind {
         })
     }),
 };
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn equals_the_square_law_at_rated_speed_only() {
-        let fan = KIND.mechanism(&[1.8e-6]);
-        let square = |speed: f64| 1.8e-6 * speed * speed.abs();
-        assert!((fan.drag_torque_n_m(-293.2) - square(-293.2)).abs() < 1e-12);
-        assert!(fan.drag_torque_n_m(100.0) > 1.04 * square(100.0));
-        assert!(fan.drag_torque_n_m(0.0).abs() < 1e-300);
-    }
-}

@@ -56,30 +56,3 @@ impl Mechanism for Bristle {
         self.stretch = settled + (self.stretch - settled) * decay;
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn turning(speed_rad_s: f64) -> Moment {
-        Moment { speed_rad_s, ..Moment::default() }
-    }
-
-    #[test]
-    fn settles_on_the_stribeck_curve_and_remembers_over_the_stretch() {
-        let mut friction = KIND.mechanism(&[0.16, 10.0]);
-        for speed in [2.0, 10.0, -5.0, 300.0] {
-            for _ in 0..4000 {
-                friction.advance(50e-6, &turning(speed), 0.0);
-            }
-            let curve = 0.16 * (-(speed / 10.0_f64).powi(2)).exp() * f64::signum(speed);
-            assert!((friction.drag_torque_n_m(speed) - curve).abs() < 1e-9);
-        }
-        friction.broke_away(1.0);
-        // 0.3 rad/s backwards for 1 ms: 0.0003 rad, a fifth of the stretch.
-        for _ in 0..20 {
-            friction.advance(50e-6, &turning(-0.3), 0.0);
-        }
-        assert!(friction.drag_torque_n_m(-0.3) > 0.0, "not yet turned over");
-    }
-}

@@ -141,8 +141,15 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
         settled(mechanism.as_mut());
         let m = mechanism.as_ref();
         let (found, stated, within) = match effect.id() {
-            "viscous_friction" => (torque(m), 4e-4 * speed, 0.05),
-            "quadratic_load" => (torque(m), 1.8e-6 * speed * speed, 1e-9),
+            // At the scale of the thinning, twice the rated speed: asinh(1) of it.
+            "viscous_friction" => {
+                (m.drag_torque_n_m(-2.0 * speed), -4e-4 * speed * 1.762_747, 1e-6)
+            }
+            // At half the rated speed, where the power 1.95 shows.
+            "quadratic_load" => {
+                let half = speed / 2.0;
+                (m.drag_torque_n_m(-half), -1.8e-6 * half * half * 2.0_f64.powf(0.05), 1e-9)
+            }
             "stribeck_friction" | "exponential_stribeck" => {
                 // At rest.
                 let still = Moment { speed_rad_s: 0.0, ..at };
@@ -150,8 +157,14 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             }
             "asymmetric_viscous" => (torque(m), 1e-4 * speed, 0.011),
             // 0.1 N.m, or a twentieth of 2 N.m.
-            "constant_load" | "one_sided_load" | "cogging" | "harmonic_cogging"
-            | "torque_ripple" => (torque(m), 0.1, 1e-9),
+            "constant_load" | "one_sided_load" | "harmonic_cogging" | "torque_ripple" => {
+                (torque(m), 0.1, 1e-9)
+            }
+            // An eighth of a period: the second harmonic is at its top.
+            "cogging" => {
+                let at = Moment { angle_rad: 0.5 * at.angle_rad, ..at };
+                (m.load_torque_n_m(&at), 0.1 * (0.5_f64.sqrt() + 0.1), 1e-9)
+            }
             "eccentric_load" => {
                 let x = at.angle_rad;
                 (torque(m), 0.1 * x.sin() + 0.05 * x.cos(), 0.25)
@@ -162,7 +175,7 @@ fn at_a_probe_point_the_size_is_that_of_the_key() {
             "load_step" => (torque(m), 0.12, 1e-9),
             "friction_onset" => (torque(m), 4e-4 * speed, 1e-9),
             "inertia_change" => (m.inertia_factor(&at), 1.3, 1e-9),
-            "voltage_drop" => (m.voltage_loss_v(amps), 1.2, 1e-3),
+            "voltage_drop" => (m.voltage_loss_v(-0.1), -1.2 * 0.5_f64.sqrt(), 1e-9),
             "supply_sag" => (110.0 * (1.0 - m.supply_factor()), 0.4 * amps, 1e-6),
             "winding_heating" => (m.resistance_factor() - 1.0, 2e-3 * amps * amps * 0.1, 0.01),
             "flux_saturation" => (m.flux_factor(&at), 1.0 / (1.0 + 4e-4 * amps * amps), 1e-9),

@@ -16,16 +16,3 @@ pub(super) const KIND: HiddenKind = HiddenKind {
         drag(move |speed_rad_s| viscous * w0 * (speed_rad_s / w0).asinh())
     }),
 };
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn linear_at_low_speed_and_a_few_percent_less_at_rated_speed() {
-        let drag = KIND.mechanism(&[4e-4]);
-        assert!((drag.drag_torque_n_m(1.0) / 4e-4 - 1.0).abs() < 1e-5);
-        let ratio = drag.drag_torque_n_m(-293.2) / (-293.2 * 4e-4);
-        assert!((0.95..0.97).contains(&ratio), "{ratio}");
-    }
-}

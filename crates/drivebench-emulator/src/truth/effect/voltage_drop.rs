@@ -14,15 +14,3 @@ pub(super) const KIND: HiddenKind = HiddenKind {
         voltage_loss(move |current_a| drop_v * current_a / current_a.hypot(0.1))
     }),
 };
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn odd_and_saturating() {
-        let film = KIND.mechanism(&[1.2]);
-        assert!((film.voltage_loss_v(5.7) - 1.2).abs() < 1e-3);
-        assert!((film.voltage_loss_v(-0.1) + 1.2 / 2.0_f64.sqrt()).abs() < 1e-12);
-    }
-}
