@@ -16,7 +16,7 @@ use tempfile::TempDir;
 
 use crate::c_compiler;
 use crate::properties::{config, line, pdu};
-use crate::support::{Bank, UNIT, file, hex, noise, response, rtu_frame, serve, stream_frame};
+use crate::support::{Bank, UNIT, file, hex, response, rtu_frame, serve, stream_frame};
 
 /// Built once for all tests of this process.
 static REPLAY: LazyLock<(TempDir, PathBuf)> = LazyLock::new(|| {
@@ -307,24 +307,6 @@ fn capture_status(bank: &Bank) -> Message {
         count: 0,
         first_time_us: 0,
     })
-}
-
-#[test]
-fn any_noise_leaves_the_c_slave_listening() {
-    let mut rtu_talk = Talk::start("rtu");
-    let mut stream_talk = Talk::start("stream");
-    let request = rtu_frame(UNIT, &[3, 0, 0, 0, 16]);
-    let hello = hex(&stream_frame(&Frame::ask(7, Message::Hello)));
-    let mut noise = noise(1);
-    for _ in 0..20 {
-        let bytes: Vec<u8> = noise.by_ref().take(65_536 / 16).collect();
-        rtu_talk.ask(&hex(&bytes));
-        rtu_talk.ask("idle");
-        assert_eq!(rtu_talk.ask(&hex(&request)).len(), 1);
-        stream_talk.ask(&hex(&bytes));
-        stream_talk.ask("00");
-        assert_eq!(stream_talk.ask(&hello).len(), 1);
-    }
 }
 
 /// The C slave looks registers up in the table that the header repeats; nothing else may stand there.

@@ -148,22 +148,3 @@ fn words(camel: &str) -> String {
         text + gap + letter.encode_utf8(&mut [0; 4])
     })
 }
-
-#[test]
-fn no_name_of_the_c_header_is_defined_twice() {
-    let text = header();
-    let names: Vec<_> = text
-        .lines()
-        .filter_map(|line| line.strip_prefix("#define "))
-        .filter_map(|line| line.split(' ').next())
-        .collect();
-    let unique: std::collections::HashSet<_> = names.iter().collect();
-    assert_eq!(unique.len(), names.len());
-    assert!(names.contains(&"DB_REG_SET_POINT_PER_UNIT"));
-    assert!(names.contains(&"DB_ERROR_BAD_PAYLOAD"));
-    assert!(names.contains(&"DB_STREAM_VOLTAGE_PER_UNIT"));
-    // What the reference slave takes for granted when it reads a written word.
-    let one_word_signed =
-        |r: &&firmware_protocol::Register| r.access == Access::ReadWrite && r.kind == Kind::I16;
-    assert!(!REGISTERS.iter().any(|r| one_word_signed(&r)));
-}

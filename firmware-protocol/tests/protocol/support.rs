@@ -235,14 +235,6 @@ pub(crate) fn serve(
     answers
 }
 
-/// Bytes that are no pattern, the same for a seed.
-pub(crate) fn noise(mut state: u32) -> impl Iterator<Item = u8> {
-    std::iter::repeat_with(move || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        state.to_be_bytes()[0]
-    })
-}
-
 /// The text of a committed file of this crate.
 pub(crate) fn committed(name: &str) -> String {
     std::fs::read_to_string(file(name)).expect("the vectors are committed")
