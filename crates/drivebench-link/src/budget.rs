@@ -271,22 +271,6 @@ mod tests {
     }
 
     #[test]
-    fn rates_are_those_of_the_published_table() {
-        // FC23 that reads ten and writes two registers, 0.5 ms reply, whole gaps; adapters 0, 1.2, 16 ms.
-        for (baud, expected_hz) in [
-            (9600, [19.0, 19.0, 15.0]),
-            (115_200, [131.0, 113.0, 42.0]),
-            (921_600, [224.0, 177.0, 49.0]),
-        ] {
-            let budget = LineBudget::of_frames(&settings(baud, 0.5), &[(13 + 4, 5 + 20)]);
-            for (rate, expected_hz) in budget.rates.iter().zip(expected_hz) {
-                assert!((rate.rate_hz - expected_hz).abs() < 0.8, "{baud}: {rate:?}");
-            }
-            assert!((budget.rate_hz() - budget.rates[0].rate_hz).abs() < 1e-9);
-        }
-    }
-
-    #[test]
     fn a_stream_has_no_gaps_and_a_network_no_line() {
         let mut stream = DriveProfile::named("own").unwrap();
         stream.link = settings(115_200, 0.0);

@@ -161,18 +161,4 @@ mod tests {
         }
         assert!(exception(5, 0, 0, false).to_string().contains("the drive refused"));
     }
-
-    #[test]
-    fn a_busy_read_is_repeated_for_a_while_and_a_write_never() {
-        for code in [5, 6] {
-            let (mut pauses, busy) = (BusyPauses::default(), exception(code, 3, 1, false));
-            let all: Vec<Duration> = std::iter::from_fn(|| pauses.next(&busy)).collect();
-            let total: Duration = all.iter().sum();
-            assert!(all.len() == 10 && total < Duration::from_millis(1300), "{all:?}");
-        }
-        for (code, function) in [(5, 6), (6, 16), (6, 23), (2, 3), (4, 3)] {
-            let error = exception(code, function, 1, false);
-            assert_eq!(BusyPauses::default().next(&error), None, "{error}");
-        }
-    }
 }

@@ -356,7 +356,6 @@ pub trait DriveLink: Send {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::exceptions::Requested;
 
     #[test]
     fn missing_facts_of_a_drive_are_named() {
@@ -394,38 +393,5 @@ mod tests {
         trips.add(1e9);
         assert_eq!(trips.count(), 1002);
         assert!(trips.quantile_s(1.0).unwrap() > 1.0);
-    }
-
-    #[test]
-    fn every_end_has_one_class() {
-        let (link, request) = (String::new(), String::new());
-        let timeout =
-            LinkError::Timeout { link: link.clone(), deadline_ms: 1, request: request.clone() };
-        let exception = LinkError::Exception {
-            link: link.clone(),
-            request,
-            code: 2,
-            name: "x",
-            requested: Requested::default(),
-        };
-        let (found, expected) = (2, 1);
-        let version = LinkError::Version { link, found, expected };
-        let of = |class: fn(String, String) -> LinkError| Err(class(String::new(), String::new()));
-        let mut tally = Tally::default();
-        for end in [
-            Ok(()),
-            Err(timeout),
-            of(LinkError::Corrupt),
-            of(LinkError::Stale),
-            of(LinkError::Mismatch),
-            Err(exception),
-            of(LinkError::Gone),
-            Err(version),
-        ] {
-            tally.settle(&end, 0.001);
-            assert!(tally.statistics.balances());
-        }
-        let s = tally.statistics;
-        assert_eq!((s.sent, s.ok, s.stale, s.mismatch, s.aborted), (8, 1, 1, 2, 1));
     }
 }

@@ -302,22 +302,4 @@ mod tests {
         assert_eq!(sequence.next(0.7, ready_at(0.6)), Next::Wait);
         assert_eq!(sequence.next(0.8, ready_at(0.75)), Next::Done);
     }
-
-    #[test]
-    fn a_status_that_does_not_come_names_step_reason_and_bits() {
-        // Steps in front of those of the profile are not counted.
-        for first in [Vec::new(), vec![write("speed", 0.0)]] {
-            let mut sequence = Sequence::new("enable", &steps(), 0.0).preceded(first.clone());
-            (0..=first.len()).for_each(|_| sequence.go_on(0.0));
-            assert_eq!(sequence.next(0.6, |_| None), Next::Wait);
-            let Next::Failed { step, reason } = sequence.next(1.7, |_| Some((0x40, 1.7))) else {
-                panic!("the time is over");
-            };
-            assert_eq!((step, sequence.steps()), (3, 3));
-            assert_eq!(
-                reason,
-                "not ready: status is 0x0040 after 1 s (expected 0x0021 under mask 0x006f, line 7 of the profile)"
-            );
-        }
-    }
 }

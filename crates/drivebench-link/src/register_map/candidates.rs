@@ -440,18 +440,6 @@ mod tests {
     }
 
     #[test]
-    fn a_swapped_word_order_is_the_first_candidate_and_a_hypothesis() {
-        let map = map("type = \"u32\"\nscale = 0.1\nword_order = \"low_first\"");
-        let here = window(&[], &[0, 1200], &[1200, 7]);
-        let (candidates, hypotheses) = judged(&map, &[("bus", here)], "bus");
-        assert_eq!(candidates[0].change, "word_order = \"high_first\"");
-        assert!((candidates[0].value - 120.0).abs() < 1e-9 && candidates[0].plausible);
-        let best = &hypotheses[0];
-        assert_eq!(best.change, "word_order = \"high_first\" everywhere");
-        assert_eq!((best.plausible, best.as_written, best.judged), (3, 2, 3));
-    }
-
-    #[test]
     fn an_address_one_off_is_found_on_its_side() {
         let bus = map("type = \"u16\"\nscale = 0.1");
         let beside = window(&[9], &[0], &[1200]);

@@ -6,7 +6,6 @@ use rand::{RngCore as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use super::*;
-use crate::cell_bus::CellTable;
 use crate::framing::FrameKind;
 use crate::open::modbus_link;
 use crate::scripted::{Delayed, Scripted, frame};
@@ -50,12 +49,11 @@ const FAULTS: [Fault; 12] = [
     Fault::Split,
 ];
 
-/// Requests that a unit answers with an exception, or not at all; and its list of names.
+/// Requests that a unit answers with an exception, or not at all.
 #[derive(Clone, Copy, Default)]
 struct Abilities {
     only_reads_of: Option<u16>,
     is_silent_otherwise: bool,
-    names: &'static [u8],
 }
 
 /// Works with a client of a scripted unit; returns the PDUs that it was asked.
@@ -126,7 +124,6 @@ fn answer(pdu: &[u8], fault: Fault, abilities: Abilities, pending: &mut Vec<u8>)
     let refused = match (pdu[0], abilities.only_reads_of) {
         (3, Some(count)) => word(3) != count,
         (3 | 4 | 6 | 16, None) => false,
-        (43, _) => abilities.names.is_empty(),
         _ => true,
     };
     let mut out = std::mem::take(pending);
@@ -136,7 +133,6 @@ fn answer(pdu: &[u8], fault: Fault, abilities: Abilities, pending: &mut Vec<u8>)
     let reply = match pdu[0] {
         function if refused => vec![function | 0x80, 1],
         function @ (3 | 4) => reads(function, word(3)),
-        43 => abilities.names.to_vec(),
         _ => pdu[..5].to_vec(),
     };
     let right = frame(1, &reply);
@@ -248,8 +244,7 @@ fn a_fault_of_every_reply_gives_no_wrong_value() {
 #[test]
 fn a_unit_that_answers_one_length_only_is_proven() {
     for is_silent_otherwise in [false, true] {
-        let abilities =
-            Abilities { only_reads_of: Some(4), is_silent_otherwise, ..Abilities::default() };
+        let abilities = Abilities { only_reads_of: Some(4), is_silent_otherwise };
         with_client(abilities, 100, always(Fault::None), |client| {
             for _ in 0..2 {
                 let all = batch(client, &reads(&[10, 20], 4), 3);
@@ -297,29 +292,6 @@ fn a_peer_that_closes_ends_the_batch() {
     let gone = |read: &Read| matches!(read.values, Err(LinkError::Gone { .. }));
     assert_eq!(none.reads.iter().filter(|read| gone(read)).count(), 2);
     assert!(client.counters().requests.balances());
-}
-
-#[test]
-fn requests_are_the_bytes_of_the_standard() {
-    const NAMES: &[u8] = &[43, 14, 1, 1, 0, 0, 2, 0, 2, b'A', b'b', 1, 1, 0xE9];
-    let sent = with_client(Abilities::default(), 100, always(Fault::None), |client| {
-        let read = ReadRequest { table: CellTable::Input, ..ReadRequest::holding(0x0108, 3) };
-        assert_eq!(client.read(read).unwrap(), [0x0108, 0x0109, 0x010A]);
-        let (single, multiple) = (WriteFunction::Single, WriteFunction::Multiple);
-        client.write(single, 1, &[0x0203]).unwrap();
-        client.write(multiple, 1, &[0x000A, 0x0102]).unwrap();
-    });
-    assert_eq!(sent[0], [4, 1, 8, 0, 3]);
-    assert_eq!(sent[1], [6, 0, 1, 2, 3]);
-    assert_eq!(sent[2], [16, 0, 1, 0, 2, 4, 0, 10, 1, 2]);
-    for (names, taken) in [(NAMES, &["Ab", "\u{FFFD}"][..]), (&NAMES[..10], &[]), (&[], &[])] {
-        let abilities = Abilities { names, ..Abilities::default() };
-        with_client(abilities, 100, always(Fault::None), |client| {
-            assert_eq!(client.names().unwrap(), [""; 0], "no reply yet");
-            client.read(reads(&[5], 1)[0]).unwrap();
-            assert_eq!(client.names().unwrap(), taken);
-        });
-    }
 }
 
 #[test]
