@@ -201,60 +201,7 @@ impl Burst for MemoryLink {
 
 #[cfg(test)]
 mod tests {
-    use firmware_protocol::Fault;
-
     use super::*;
-    use crate::EmulatorConfig;
-    use drivebench_model::sample::{Channel, DriveState};
-
-    fn link(seed: u64) -> (MemoryLink, VirtualClock) {
-        let clock = VirtualClock::new();
-        let drive = SoftDrive::new(&EmulatorConfig::embedded_default(), seed);
-        (MemoryLink::new(drive, clock.clone(), Latency::default()), clock)
-    }
-
-    fn volts(seq: u64, volts: f64) -> Command {
-        Command { seq, demand: Demand::Voltage(volts) }
-    }
-
-    #[test]
-    fn the_sample_is_taken_after_the_command() {
-        let (mut link, clock) = link(9);
-        let identity = link.identify().unwrap();
-        assert!(identity.is_emulator);
-        assert_eq!(identity.watchdog_s, Some(0.5));
-        assert_eq!(identity.current_limit_a, Some(11.4));
-        assert_eq!(identity.voltage_limit_v, Some(120.0));
-        assert_eq!(identity.serial_number, "9");
-        // The first sample is the origin of the drive's time.
-        link.exchange(volts(69_999, 0.0)).unwrap();
-        clock.set_time_s(0.2);
-        let sample = link.exchange(volts(70_000, 24.0)).unwrap();
-        let applied = sample.applied.unwrap();
-        assert_eq!((sample.seq, applied.seq), (Some(70_000), 70_000));
-        assert!((applied.time_s - 0.2).abs() < 1e-4);
-        assert!(sample.time_s >= applied.time_s);
-        assert!((sample.host_time_s.unwrap() - 0.207_3).abs() < 1e-9);
-        assert_eq!(sample.get(Channel::VoltageCmd), Some(24.0));
-        assert!((sample.get(Channel::Voltage).unwrap() - 24.0).abs() < 0.2);
-        assert_eq!(sample.state, Some(DriveState::Running));
-        assert_eq!(sample.get(Channel::Temperature), None, "missing, not zero");
-        clock.set_time_s(0.3);
-        let steps = link.exchange(volts(70_001, 24.0)).unwrap().get(Channel::Speed).unwrap() / 0.02;
-        assert!(steps > 100.0 && (steps - steps.round()).abs() < 1e-6);
-    }
-
-    #[test]
-    fn a_command_that_means_nothing_is_refused_and_counted() {
-        let (mut link, _) = link(1);
-        let error = link.exchange(volts(1, f64::NAN)).unwrap_err();
-        assert!(matches!(error, LinkError::Exception { code: 3, .. }));
-        link.exchange(volts(2, 5.0)).unwrap();
-        link.stop().unwrap();
-        let statistics = link.statistics();
-        assert!(statistics.balances());
-        assert_eq!((statistics.sent, statistics.exception), (3, 1));
-    }
 
     #[test]
     fn an_exchange_takes_as_long_as_its_line() {
@@ -266,17 +213,5 @@ mod tests {
         let usb = Latency::of_line(&line(12_000_000), false);
         // Half a millisecond of turnaround is left.
         assert!(usb.request_s + usb.reply_s < 0.6e-3, "{usb:?}");
-    }
-
-    #[test]
-    fn silence_of_the_host_ends_in_a_fault() {
-        let (mut link, clock) = link(1);
-        link.exchange(volts(1, 20.0)).unwrap();
-        clock.set_time_s(0.6);
-        let sample = link.exchange(volts(2, 20.0)).unwrap();
-        assert_eq!(sample.state, Some(DriveState::Fault));
-        assert_eq!(sample.fault, Some(Fault::Watchdog.code()));
-        let reset = Command { seq: 3, demand: Demand::ResetFault };
-        assert_eq!(link.exchange(reset).unwrap().fault, None);
     }
 }

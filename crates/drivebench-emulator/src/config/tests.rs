@@ -1,30 +1,9 @@
 use super::*;
 
 #[test]
-fn embedded_configurations_hide_what_their_names_say() {
-    let hidden: Vec<(&str, Vec<&str>)> = EmulatorConfig::embedded_names()
-        .map(|name| {
-            let config = EmulatorConfig::embedded(name).unwrap();
-            (name, config.hidden.iter().map(HiddenEffect::id).collect())
-        })
-        .collect();
-    assert_eq!(
-        hidden,
-        [
-            ("zk-22fc-hidden", vec!["stribeck_friction"]),
-            ("zk-22fc-plain", vec![]),
-            ("zk-22fc-viscous", vec!["viscous_friction"]),
-            ("zk-22fc-fan", vec!["quadratic_load"]),
-            ("zk-22fc-brushes", vec!["voltage_drop"]),
-            ("zk-22fc-warming", vec!["winding_heating"]),
-            ("zk-22fc-locked", vec![]),
-            ("zk-22fc-open", vec![]),
-            ("zk-22fc-changing", vec![]),
-            ("zk-22fc-elastic", vec!["elastic_coupling"]),
-            ("small-servo-behind-zk-22fc", vec![]),
-            ("large-motor-behind-zk-22fc", vec![]),
-        ]
-    );
+fn every_embedded_configuration_is_valid_and_the_default_hides_something() {
+    let mut names = EmulatorConfig::embedded_names();
+    assert!(names.all(|name| EmulatorConfig::embedded(name).is_ok()));
     assert_eq!(EmulatorConfig::embedded_default().hidden.len(), 1);
 }
 

@@ -108,29 +108,9 @@ const fn zero_of(control: Control) -> Control {
 mod tests {
     use super::*;
 
-    fn line(command_delay_s: f64, start_delay_s: f64) -> DelayLine {
-        DelayLine::new(&Path { command_delay_s, start_delay_s, ..Path::default() })
-    }
-
-    #[test]
-    fn a_delay_is_whole_ticks_and_off_is_at_once() {
-        let mut late = line(1e-3, 0.0);
-        let step = |tick: u64| Some(Control::Voltage(if tick < 100 { 5.0 } else { -3.0 }));
-        for tick in 0..200 {
-            let expected = match tick {
-                0..20 => None,
-                20..120 => step(0),
-                _ => step(100),
-            };
-            assert_eq!(late.acting(step(tick), tick), expected, "{tick}");
-        }
-        assert_eq!(late.acting(None, 200), None);
-        assert_eq!(late.acting(step(201), 201), None, "the line is empty again");
-    }
-
     #[test]
     fn a_late_start_swallows_the_first_set_points_of_each_run() {
-        let mut late = line(0.0, 2e-3);
+        let mut late = DelayLine::new(&Path { start_delay_s: 2e-3, ..Path::default() });
         for from in [0, 1000] {
             for tick in from..from + 10 {
                 let zero = Some(Control::Voltage(0.0));

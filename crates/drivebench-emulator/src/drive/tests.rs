@@ -1,6 +1,6 @@
 use firmware_protocol::modbus::{Exception, RegisterBank};
 use firmware_protocol::registers as r;
-use firmware_protocol::{CaptureControl, CaptureSample, CaptureState};
+use firmware_protocol::{CaptureControl, CaptureState};
 
 use super::*;
 use crate::config::{LimitsConfig, OutputOff};
@@ -265,34 +265,6 @@ fn registers_show_the_drive() {
     let mut echoed = [0; r::COMMAND_WORDS];
     drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
     assert_eq!(echoed, words);
-}
-
-#[test]
-fn a_capture_begins_with_the_next_command() {
-    let mut drive = drive();
-    drive.advance_to(0.1);
-    drive.write(r::CAPTURE_CONTROL.address, &[CaptureControl::Arm.code()]).unwrap();
-    drive.advance_to(0.2);
-    hold(&mut drive, Control::Voltage(10.0), 0.5);
-    let mut head = [0; 7];
-    drive.read(r::CAPTURE_ADDRESS, &mut head).unwrap();
-    assert_eq!(head[1], CaptureState::Complete.code());
-    assert_eq!(head[2], capture::LENGTH);
-    assert_eq!(r::CAPTURE_TIME.get(&head, r::CAPTURE_ADDRESS), 200_050);
-    drive.write(r::WINDOW_INDEX.address, &[20]).unwrap();
-    let mut window = [0; 1 + 40 * 3];
-    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
-    assert_eq!(window[0], 40);
-    let sample = CaptureSample::from_registers(&[window[1], window[2], window[3]]);
-    // Sample 20 is 2 ms after the step: i = U/R (1 - exp(-t R/L)), the shaft still almost at rest.
-    let expected = 10.0 / 1.1 * (1.0 - (-0.002_f64 / 0.009).exp());
-    let off = sample.current_a - expected;
-    assert!(off.abs() < 0.2, "{off} {expected}");
-    assert!((sample.voltage_v - 10.0).abs() < 0.1);
-    // Past the end the window is empty and says so.
-    drive.write(r::WINDOW_INDEX.address, &[5000]).unwrap();
-    drive.read(r::WINDOW_COUNT.address, &mut window).unwrap();
-    assert_eq!((window[0], window[1]), (0, 0x8000));
 }
 
 #[test]

@@ -595,17 +595,3 @@ fn another_version_and_another_map_are_refused() {
     let map = paused(|| link_to(Protocol::ModbusRtu, &far).identify().unwrap_err());
     assert!(matches!(map, LinkError::Identity { .. }), "{map}");
 }
-
-#[test]
-fn raw_registers_are_read_and_a_refusal_has_its_name() {
-    paused(|| {
-        let far = Observed::new(Protocol::ModbusRtu, &[], 1);
-        let meant = Arc::clone(&far.lock().unwrap().meant);
-        let mut bus = bus_to(&map("fc08"), &DriveProfile::named("own").unwrap().link, &far);
-        let words = bus.read(ReadRequest::holding(900, 3)).unwrap().cells;
-        assert_eq!(words, meant.lock().unwrap().registers(900, 3));
-        let put = Put { function: 16, address: 64, cells: &[1] };
-        let refused = bus.write(put).unwrap_err().to_string();
-        assert!(refused.contains("exception 0x02 illegal data address"), "{refused}");
-    });
-}

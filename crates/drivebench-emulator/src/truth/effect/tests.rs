@@ -1,5 +1,5 @@
 use super::super::motor::zk_22fc;
-use super::super::{NoiseConfig, Plant, QuantisationConfig, Reading, Sensors, Terminals};
+use super::super::{Plant, Terminals};
 use super::*;
 
 fn hidden(id: &str, values: &[(&str, f64)]) -> HiddenEffect {
@@ -234,41 +234,6 @@ fn a_second_inertia_rings_at_its_frequency_and_settles() {
     let (first, last) = (rising[0], rising[rising.len() - 1]);
     let frequency = (rising.len() - 1) as f64 / ((last - first) as f64 * 50e-6);
     assert!((frequency - 22.0).abs() < 0.1, "{frequency}");
-}
-
-#[test]
-fn sensors_show_delay_filter_and_offset() {
-    let tick_s = 50e-6;
-    let sensors = |path: Path| {
-        let (noise, quantisation) = (NoiseConfig::default(), QuantisationConfig::default());
-        let mut sensors = Sensors::new(noise, quantisation, 0).behind(path, tick_s);
-        for tick in 0..=4000_u32 {
-            // A ramp of 100 rad/s and 10 A in a second.
-            let time_s = f64::from(tick) * tick_s;
-            sensors.follow(10.0 * time_s, 100.0 * time_s);
-        }
-        sensors.read(4000, Reading::default())
-    };
-    let site = Site::of(&zk_22fc());
-    let mut between = 0;
-    for effect in HiddenEffect::one_of_each() {
-        let path = effect.path(&site);
-        let read = sensors(path);
-        let (amps, speed) = match effect.id() {
-            // On a ramp a filter lags by its time constant.
-            "speed_delay" => (2.0, 20.0 - 100.0 * 4e-3),
-            "speed_filter" => (2.0, 20.0 - 100.0 * 5e-3),
-            "current_filter" => (2.0 - 10.0 * 4e-3, 20.0),
-            "current_offset" => (2.2, 20.0),
-            "speed_offset" => (2.0, 21.0),
-            _ => (2.0, 20.0),
-        };
-        between += usize::from(path != Path::default());
-        let (off_a, off_rad_s) = (read.current_a - amps, read.speed_rad_s - speed);
-        let is_near = off_a.abs() < 1e-5 && off_rad_s.abs() < 1e-5;
-        assert!(is_near, "{}: {read:?}", effect.id());
-    }
-    assert_eq!(between, 10, "five in the sensors, four in the drive, messy");
 }
 
 #[test]
