@@ -375,6 +375,41 @@ impl Exchange {
     }
 }
 
+/// What a link and a bus of cells state of the exchange beneath them, in the same words.
+macro_rules! over_an_exchange {
+    () => {
+        fn name(&self) -> crate::link::LinkName {
+            crate::link::LinkName(self.exchange.core.name.clone())
+        }
+
+        fn statistics(&self) -> crate::link::LinkStatistics {
+            self.exchange.core.tally.statistics
+        }
+
+        fn round_trips(&self) -> Option<&crate::link::RoundTrips> {
+            Some(&self.exchange.core.tally.round_trips)
+        }
+
+        fn line(&self) -> Option<crate::transaction::LineCounts> {
+            Some(self.exchange.line_counts())
+        }
+
+        fn bound(&mut self, left_s: f64) {
+            self.exchange.core.bound.set(left_s, crate::waiting::now());
+        }
+
+        fn stop_request(&mut self) -> Option<&mut crate::transaction::StopRequest> {
+            Some(&mut self.exchange.core.bound.stop_request)
+        }
+
+        fn close(&mut self) {
+            self.exchange.close();
+        }
+    };
+}
+
+pub(super) use over_an_exchange;
+
 /// Why the line could not be proven. Where the probes got nothing, a refusal or damage, that is what is wrong with it.
 fn unprobed(name: &str, last: Option<LinkError>) -> LinkError {
     match last {

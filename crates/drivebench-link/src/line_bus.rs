@@ -14,14 +14,13 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::cell_bus::{CellBus, CellTable, CellsRead, Put, ReadRequest, Span};
-use super::exchange::{Exchange, NoData, Query};
+use super::exchange::{Exchange, NoData, Query, over_an_exchange};
 use super::framing::{FrameKind, Grammar, Turn};
-use super::link::{LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link::{LinkError, Result};
 use super::link_core::Answer;
 use super::proof::Method;
 use super::register_map::{PollRate, ReadBlock, RegisterMap, Resync, plan_reads};
 use super::timing::wait_until;
-use super::transaction::{LineCounts, StopRequest};
 use super::waiting::now;
 
 /// Round trips from which the usual time of a reply is estimated.
@@ -290,9 +289,7 @@ impl<L: Language> LineBus<L> {
 }
 
 impl<L: Language> CellBus for LineBus<L> {
-    fn name(&self) -> LinkName {
-        LinkName(self.exchange.core.name.clone())
-    }
+    over_an_exchange!();
 
     fn now_s(&self) -> f64 {
         self.exchange.core.host_s(now())
@@ -349,30 +346,6 @@ impl<L: Language> CellBus for LineBus<L> {
 
     fn is_emulated(&self) -> bool {
         self.emulated
-    }
-
-    fn close(&mut self) {
-        self.exchange.close();
-    }
-
-    fn statistics(&self) -> LinkStatistics {
-        self.exchange.core.tally.statistics
-    }
-
-    fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.exchange.core.tally.round_trips)
-    }
-
-    fn line(&self) -> Option<LineCounts> {
-        Some(self.exchange.line_counts())
-    }
-
-    fn bound(&mut self, left_s: f64) {
-        self.exchange.core.bound.set(left_s, now());
-    }
-
-    fn stop_request(&mut self) -> Option<&mut StopRequest> {
-        Some(&mut self.exchange.core.bound.stop_request)
     }
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {

@@ -22,7 +22,6 @@ use super::link_core::Answer;
 use super::own::OwnLink;
 use super::register_map::RegisterMap;
 use super::reply_filter::ReplyFilter;
-use super::timing::LineTiming;
 
 pub use raw::{
     Batch, RawClient, RawCounters, RawSettings, Read, WriteFunction, WriteOutcome, Written,
@@ -38,7 +37,6 @@ pub(super) struct Client {
 }
 
 /// A request in the form of tokio-modbus and as the proof takes it.
-#[derive(Clone)]
 struct Question<'a> {
     request: Request<'a>,
     query: Query<'a>,
@@ -46,39 +44,8 @@ struct Question<'a> {
 
 impl<'a> Question<'a> {
     fn plain(request: Request<'a>, pdu: [u8; 5], what: &'a str, allowed: Duration) -> Self {
-        let count = match &request {
-            Request::ReadHoldingRegisters(_, count)
-            | Request::ReadInputRegisters(_, count)
-            | Request::ReadWriteMultipleRegisters(_, count, ..) => *count,
-            Request::WriteMultipleRegisters(_, values) => {
-                u16::try_from(values.len()).unwrap_or(u16::MAX)
-            }
-            _ => 1,
-        };
-        let requested = Requested { function: pdu[0], count, is_of_profile: false };
-        let query = Query { pdu, what, allowed, is_probe: false, is_numbered: false, requested };
-        Self { request, query }
-    }
-
-    fn read(read: ReadRequest, what: &'a str, allowed: Duration) -> Self {
-        Self::plain(read_registers(read), read.pdu(), what, allowed)
-    }
-
-    /// A probe of the proof. The filter compares all its bytes.
-    fn probe(pdu: [u8; 5], timing: &LineTiming) -> Self {
-        let [function, data @ ..] = pdu;
-        let [a, b, c, d] = data;
-        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
-        let (request, words) = match function {
-            3 => (Request::ReadHoldingRegisters(address, count), count),
-            4 => (Request::ReadInputRegisters(address, count), count),
-            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
-        };
-        let (request_bytes, reply_bytes) = read_bytes(words.into());
-        let allowed = timing.hurried(request_bytes, reply_bytes);
-        let mut question = Self::plain(request, pdu, "the probe", allowed);
-        question.query.is_probe = true;
-        question
+        let requested = Requested { function: pdu[0], count: 1, is_of_profile: false };
+        Self { request, query: Query::plain(pdu, what, allowed, requested) }
     }
 }
 
@@ -163,8 +130,21 @@ impl Language for Client {
     }
 
     fn probe(&mut self, exchange: &mut Exchange, pdu: [u8; 5]) -> Result<()> {
-        let question = Question::probe(pdu, &exchange.core.timing);
-        self.ask(exchange, question, |_| Ok(())).map(drop)
+        let [function, data @ ..] = pdu;
+        let [a, b, c, d] = data;
+        let (address, count) = (u16::from_be_bytes([a, b]), u16::from_be_bytes([c, d]));
+        let (request, words) = match function {
+            3 => (Request::ReadHoldingRegisters(address, count), count),
+            4 => (Request::ReadInputRegisters(address, count), count),
+            _ => (Request::Custom(8, Cow::Owned(data.to_vec())), 2),
+        };
+        let (request_bytes, reply_bytes) = read_bytes(words.into());
+        let allowed = exchange.core.timing.hurried(request_bytes, reply_bytes);
+        let Question { request, query } = Question::plain(request, pdu, "the probe", allowed);
+        let requested = Requested { count: words, ..query.requested };
+        let query = Query { is_probe: true, requested, ..query };
+        // The filter compares all its bytes.
+        self.ask(exchange, Question { request, query }, |_| Ok(())).map(drop)
     }
 
     fn object(&mut self, exchange: &mut Exchange, object: u8) -> Result<Option<String>> {

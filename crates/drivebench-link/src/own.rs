@@ -22,14 +22,13 @@ use firmware_protocol::{CaptureControl, CaptureState, Telemetry};
 use super::burst::{Burst, Capture, WINDOW_ADDRESS, WINDOW_WORDS};
 use super::cell_bus::{Put, ReadRequest};
 use super::exceptions::{BusyPauses, Requested};
-use super::exchange::{Exchange, Query};
+use super::exchange::{Exchange, Query, over_an_exchange};
 use super::framing::{Echo, FrameKind, Turn};
 use super::line_bus::Language;
-use super::link::{DriveLink, Identity, LinkError, LinkName, LinkStatistics, Result, RoundTrips};
+use super::link::{DriveLink, Identity, LinkError, Result};
 use super::link_core::{Answer, stop_confirmed};
 use super::timeline::{identity, identity_error, signed_difference};
 use super::timing::wait_until;
-use super::transaction::{LineCounts, StopRequest};
 use super::waiting::now;
 use drivebench_model::sample::{Command, Sample};
 
@@ -93,6 +92,17 @@ impl<L: Language> OwnLink<L> {
         self.language.call(&mut self.exchange, turn, Query { is_numbered, ..query })
     }
 
+    /// One turn on a synchronised line.
+    pub(super) fn turn(
+        &mut self,
+        turn: Turn<'_>,
+        what: &str,
+        allowed: Duration,
+    ) -> Result<Answer<Vec<u16>>> {
+        self.in_step(&turn.pdu())?;
+        self.call(turn, what, allowed, false)
+    }
+
     /// Time of a turn outside the cycles of a run, whose deadline it does not have to keep.
     fn unhurried(&self, turn: Turn<'_>) -> Duration {
         let (request, reply) = self.language.bytes(self.exchange.kind, turn);
@@ -109,10 +119,7 @@ impl<L: Language> OwnLink<L> {
     fn read(&mut self, read: ReadRequest, what: &str) -> Result<Answer<Vec<u16>>> {
         let turn = Turn::read(read);
         let allowed = self.unhurried(turn);
-        self.with_retries(|link| {
-            link.in_step(&turn.pdu())?;
-            link.call(turn, what, allowed, false)
-        })
+        self.with_retries(|link| link.turn(turn, what, allowed))
     }
 
     fn decoded(&self, answer: Answer<Vec<u16>>) -> Result<Answer<Telemetry>> {
@@ -192,9 +199,7 @@ impl<L: Language> OwnLink<L> {
 }
 
 impl<L: Language> DriveLink for OwnLink<L> {
-    fn name(&self) -> LinkName {
-        LinkName(self.exchange.core.name.clone())
-    }
+    over_an_exchange!();
 
     fn identify(&mut self) -> Result<Identity> {
         let block = self.while_busy(|link| link.read(IDENTITY, "the identity"));
@@ -254,37 +259,13 @@ impl<L: Language> DriveLink for OwnLink<L> {
         !self.exchange.core.is_unsent
     }
 
-    fn statistics(&self) -> LinkStatistics {
-        self.exchange.core.tally.statistics
-    }
-
     fn shortest_cycle_s(&self) -> Option<f64> {
         let (request, reply) = cycle_bytes(self.exchange.kind);
         self.exchange.core.timing.shortest_cycle_s(request, reply)
     }
 
-    fn round_trips(&self) -> Option<&RoundTrips> {
-        Some(&self.exchange.core.tally.round_trips)
-    }
-
-    fn bound(&mut self, left_s: f64) {
-        self.exchange.core.bound.set(left_s, now());
-    }
-
     fn burst(&mut self) -> Option<&mut dyn Burst> {
         (self.exchange.core.capture_period_s > 0.0).then_some(self as &mut dyn Burst)
-    }
-
-    fn close(&mut self) {
-        self.exchange.close();
-    }
-
-    fn line(&self) -> Option<LineCounts> {
-        Some(self.exchange.line_counts())
-    }
-
-    fn stop_request(&mut self) -> Option<&mut StopRequest> {
-        Some(&mut self.exchange.core.bound.stop_request)
     }
 }
 
@@ -294,8 +275,7 @@ impl<L: Language> Burst for OwnLink<L> {
         let cells = [CaptureControl::Arm.code()];
         let put = Put { function: 16, address: CAPTURE_CONTROL.address, cells: &cells };
         let turn = Turn::write(put);
-        self.in_step(&turn.pdu())?;
-        self.call(turn, "start of a capture", self.unhurried(turn), false).map(drop)
+        self.turn(turn, "start of a capture", self.unhurried(turn)).map(drop)
     }
 
     fn fetch(&mut self) -> Result<Option<Capture>> {

@@ -610,22 +610,27 @@ mod tests {
         }
     }
 
-    /// On a line that returns requests the copy of a write is no acknowledgement.
+    /// On a line that returns requests the copy of a write is no acknowledgement. Where a read came without an echo, an
+    /// acknowledgement that comes twice is no echo, and the next one alone is a reply.
     #[test]
     fn an_echo_alone_makes_later_copies_echoes() {
-        let now = now();
-        let mut reception = Reception::new(FrameKind::Rtu, now);
-        let write = crate::scripted::frame(1, &[6, 0, 1, 0, 0]);
-        for (request, copies, is_reply) in [
-            (crate::scripted::frame(1, &[3, 0, 0, 0, 1]), 1, false),
-            (write.clone(), 1, false),
-            (write, 2, true),
-        ] {
-            reception.expected.request.clone_from(&request);
-            reception.push(&request.repeat(copies), now);
-            assert_eq!(reception.accept().unwrap(), is_reply, "{request:?}");
-            reception.leftover();
-            reception.retire();
+        let frame = crate::scripted::frame;
+        let (read, write) = (frame(1, &[3, 0, 0, 0, 1]), frame(1, &[6, 0, 1, 0, 0]));
+        let reply = frame(1, &[3, 2, 0, 7]);
+        let echoing =
+            [(&read, &read, 1, false), (&write, &write, 1, false), (&write, &write, 2, true)];
+        let plain =
+            [(&read, &reply, 1, true), (&write, &write, 2, true), (&write, &write, 1, true)];
+        for line in [echoing, plain] {
+            let now = now();
+            let mut reception = Reception::new(FrameKind::Rtu, now);
+            for (request, received, copies, is_reply) in line {
+                reception.expected.request.clone_from(request);
+                reception.push(&received.repeat(copies), now);
+                assert_eq!(reception.accept().unwrap(), is_reply, "{request:?} {copies}");
+                reception.leftover();
+                reception.retire();
+            }
         }
     }
 
@@ -653,25 +658,6 @@ mod tests {
             if !is_reply {
                 assert_eq!(reception.leftover(), Leftover::Damaged(38));
             }
-        }
-    }
-
-    /// Where a read came without an echo, an acknowledgement that comes twice is no echo, and the next one alone is a reply.
-    #[test]
-    fn a_repeated_acknowledgement_is_no_echo_where_reads_have_none() {
-        let now = now();
-        let mut reception = Reception::new(FrameKind::Rtu, now);
-        let frame = crate::scripted::frame;
-        let (read, write) = (frame(1, &[3, 0, 0, 0, 1]), frame(1, &[6, 0, 1, 0, 0]));
-        for (request, reply, copies) in [
-            (read, frame(1, &[3, 2, 0, 7]), 1),
-            (write.clone(), write.clone(), 2),
-            (write.clone(), write, 1),
-        ] {
-            reception.expected.request.clone_from(&request);
-            reception.push(&reply.repeat(copies), now);
-            assert!(reception.accept().unwrap(), "{request:?} {copies}");
-            reception.retire();
         }
     }
 

@@ -215,10 +215,8 @@ impl VirtualLink {
     ) -> Self {
         let origin = now();
         let _virtual = InVirtualTime::at(origin);
-        let far = Far(LineTime(origin), Arc::new(Mutex::new(far)));
-        let far = Arc::new(Mutex::new(far));
         let kind = FrameKind::serial(profile.link.protocol);
-        let line = exchange(name, kind, &profile.link, &far);
+        let line = exchange_with(name, kind, &profile.link, Arc::new(Mutex::new(far)));
         Self { link: dressed(line, profile.link.unit, profile), clock, origin }
     }
 
@@ -310,22 +308,22 @@ pub fn on_a_line<F: FarEnd + 'static, R>(
     work: impl FnOnce(&mut dyn DriveLink, LineTime) -> R,
 ) -> R {
     paused(|| {
-        let time = LineTime(now());
-        let far = Arc::new(Mutex::new(Far(time, far)));
+        let time = LineTime::start();
         let kind = FrameKind::serial(profile.link.protocol);
-        let line = exchange("virtual", kind, &profile.link, &far);
+        let line = exchange_with("virtual", kind, &profile.link, far);
         work(dressed(line, profile.link.unit, profile).as_mut(), time)
     })
 }
 
 /// The exchanges with a far end; the thread has to be in virtual time.
 fn exchange_with<F: FarEnd + 'static>(
+    name: &str,
     kind: FrameKind,
     settings: &LinkSettings,
-    far: &Arc<Mutex<F>>,
+    far: Arc<Mutex<F>>,
 ) -> Exchange {
-    let far = Arc::new(Mutex::new(Far(LineTime(now()), Arc::clone(far))));
-    exchange("virtual", kind, settings, &far)
+    let far = Arc::new(Mutex::new(Far(LineTime::start(), far)));
+    exchange(name, kind, settings, &far)
 }
 
 /// A link to our own drive, in this protocol; the thread has to be in virtual time.
@@ -338,7 +336,11 @@ pub fn own_to<F: FarEnd + 'static>(
         Protocol::ModbusTcp => FrameKind::Tcp,
         protocol => FrameKind::serial(protocol),
     };
-    dressed(exchange_with(kind, &profile.link, far), profile.link.unit, profile)
+    dressed(
+        exchange_with("virtual", kind, &profile.link, Arc::clone(far)),
+        profile.link.unit,
+        profile,
+    )
 }
 
 /// A bus of Modbus RTU to a drive with this map; the thread has to be in virtual time.
@@ -347,5 +349,6 @@ pub fn bus_to<F: FarEnd + 'static>(
     settings: &LinkSettings,
     far: &Arc<Mutex<F>>,
 ) -> impl CellBus + use<F> {
-    modbus_link(exchange_with(FrameKind::Rtu, settings, far), settings.unit).into_bus(map, false)
+    modbus_link(exchange_with("virtual", FrameKind::Rtu, settings, Arc::clone(far)), settings.unit)
+        .into_bus(map, false)
 }

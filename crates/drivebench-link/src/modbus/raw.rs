@@ -17,9 +17,9 @@ use serde::Serialize;
 use tokio_modbus::prelude::ReadCode;
 use tokio_modbus::{Request, Response};
 
-use super::{Client, Question, acknowledged, identification, words};
-use crate::cell_bus::{ReadRequest, registers};
-use crate::framing::FrameKind;
+use super::{Client, Question, identification};
+use crate::cell_bus::{Put, ReadRequest, registers};
+use crate::framing::{FrameKind, Turn};
 use crate::link::{Identity, LinkError, LinkStatistics, Result};
 use crate::open::{Target, open_line};
 use crate::own::{IDENTITY, OwnLink};
@@ -167,9 +167,8 @@ impl RawClient {
 
     /// Reads registers, once; again for a while where the unit is busy. That the reply is not one to an equal earlier request is only proved by [`RawClient::verify`].
     pub fn read(&mut self, request: ReadRequest) -> Result<Vec<u16>> {
-        let (what, count) = (request.text(), request.count.into());
-        let question = Question::read(request, &what, self.allowed());
-        let read = |link: &mut OwnLink<Client>| link.ask(question.clone(), words(count));
+        let (what, allowed) = (request.text(), self.allowed());
+        let read = |link: &mut OwnLink<Client>| link.turn(Turn::read(request), &what, allowed);
         let values = self.link.while_busy(read)?.value;
         self.link.exchange.proof.readable(request);
         Ok(values)
@@ -178,14 +177,10 @@ impl RawClient {
     /// Writes registers, once without repetition: after an error it is unknown whether the write was applied.
     pub fn write(&mut self, function: WriteFunction, address: u16, values: &[u16]) -> Result<()> {
         let what = format!("write {} at {address}", registers(values.len()));
-        let (code, request) = if let (WriteFunction::Single, [value]) = (function, values) {
-            (6, Request::WriteSingleRegister(address, *value))
-        } else {
-            (16, Request::WriteMultipleRegisters(address, Cow::Borrowed(values)))
-        };
-        let [high, low] = address.to_be_bytes();
-        let question = Question::plain(request, [code, high, low, 0, 0], &what, self.allowed());
-        self.link.ask(question, acknowledged).map(drop)
+        let is_single = function == WriteFunction::Single && values.len() == 1;
+        let put = Put { function: if is_single { 6 } else { 16 }, address, cells: values };
+        let allowed = self.allowed();
+        self.link.turn(Turn::write(put), &what, allowed).map(drop)
     }
 
     fn allowed(&self) -> Duration {
