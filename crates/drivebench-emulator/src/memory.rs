@@ -33,11 +33,8 @@ impl Latency {
     /// What one exchange takes over this line; `with_gaps`: silence separates frames, as Modbus RTU's are.
     pub fn of_line(line: &LineConfig, with_gaps: bool) -> Self {
         let mut pace = Pace::serial(line, with_gaps);
-        let mut request_s = 0.0;
         // 21 bytes of a request over Modbus RTU and 37 of its reply; the stream's are about as many.
-        for _ in 0..21 {
-            request_s = pace.arrival_s(0.0);
-        }
+        let request_s = pace.arrived_s(0.0, 21);
         Self { request_s, reply_s: pace.delivery_s(request_s, 37) - request_s }
     }
 }

@@ -90,6 +90,11 @@ impl Pace {
         self.free_from_s
     }
 
+    /// The same of the last of so many bytes.
+    pub(super) fn arrived_s(&mut self, now_s: f64, bytes: usize) -> f64 {
+        (0..bytes).fold(now_s, |_, _| self.arrival_s(now_s))
+    }
+
     /// When an answer of `bytes` to a request that ended at `end_s` has arrived; the line is busy until the gap after it.
     pub(super) fn delivery_s(&mut self, end_s: f64, bytes: usize) -> f64 {
         let thinks_s = self.turnaround_s + self.late.next_s();
@@ -106,7 +111,7 @@ mod tests {
 
     fn exchange_s(line: &LineConfig, with_gaps: bool, request: usize, answer: usize) -> f64 {
         let mut pace = Pace::serial(line, with_gaps);
-        let end = (0..request).fold(0.0, |_, _| pace.arrival_s(10.0));
+        let end = pace.arrived_s(10.0, request);
         pace.delivery_s(end, answer) - 10.0
     }
 

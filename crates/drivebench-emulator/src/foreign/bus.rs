@@ -88,10 +88,7 @@ impl ForeignBus {
         self.statistics.sent += 1;
         self.now_s = CellBus::now_s(self);
         let asked_s = self.pace.departure_s(self.now_s);
-        let mut arrived_s = self.now_s;
-        for _ in 0..request.len() + FRAME_BYTES {
-            arrived_s = self.pace.arrival_s(self.now_s);
-        }
+        let arrived_s = self.pace.arrived_s(self.now_s, request.len() + FRAME_BYTES);
         self.drive.advance_to(arrived_s);
         let is_lost = self.lost.contains(&self.statistics.sent);
         let answer = (!is_lost).then(|| self.drive.answer(request));
@@ -140,22 +137,20 @@ impl ForeignBus {
 
     fn put(&mut self, put: Put<'_>, timeout_s: f64) -> Result<Span> {
         let Put { function, address, cells: values } = put;
-        let mut request = vec![function];
-        request.extend(address.to_be_bytes());
-        if function != 6 {
-            request.extend(counted(values));
-        }
-        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let written = counted(values);
+        let written = if function == 6 { &written[3..] } else { &written };
+        let request = [&[function][..], &address.to_be_bytes(), written].concat();
         let what = || format!("write {values:04x?} at {address}");
         self.exchange(&request, timeout_s, what).map(|(_, span)| span)
     }
 }
 
-/// Number of registers and of their bytes, as function codes 16 and 23 have them.
-fn counted(values: &[u16]) -> [u8; 3] {
+/// Number of registers and of their bytes, and the registers, as function codes 16 and 23 have them.
+fn counted(values: &[u16]) -> Vec<u8> {
     let [high, low] = u16::try_from(values.len()).unwrap_or(u16::MAX).to_be_bytes();
     let bytes = u8::try_from(2 * values.len()).unwrap_or(u8::MAX);
-    [high, low, bytes]
+    let values = values.iter().flat_map(|value| value.to_be_bytes());
+    [high, low, bytes].into_iter().chain(values).collect()
 }
 
 impl CellBus for ForeignBus {
@@ -174,13 +169,8 @@ impl CellBus for ForeignBus {
 
     fn read(&mut self, read: ReadRequest) -> Result<CellsRead> {
         let (address, count) = (read.address, read.count);
-        let function = match read.table {
-            CellTable::Input => 4,
-            _ => 3,
-        };
-        let mut request = vec![function];
-        request.extend(address.to_be_bytes());
-        request.extend(count.to_be_bytes());
+        let function = if read.table == CellTable::Input { 4 } else { 3 };
+        let request = [&[function][..], &address.to_be_bytes(), &count.to_be_bytes()].concat();
         self.now_s = CellBus::now_s(self) + self.silence_s;
         self.get(&request, || format!("read {count} registers at {address}"))
     }
@@ -197,12 +187,9 @@ impl CellBus for ForeignBus {
     fn read_write(&mut self, put: Put<'_>, read: ReadRequest) -> Result<CellsRead> {
         let Put { address: to, cells: values, .. } = put;
         let ReadRequest { address: from, count, .. } = read;
-        let mut request = vec![23];
-        request.extend(from.to_be_bytes());
-        request.extend(count.to_be_bytes());
-        request.extend(to.to_be_bytes());
-        request.extend(counted(values));
-        request.extend(values.iter().flat_map(|value| value.to_be_bytes()));
+        let (from_bytes, to_bytes) = (from.to_be_bytes(), to.to_be_bytes());
+        let written = counted(values);
+        let request = [&[23][..], &from_bytes, &count.to_be_bytes(), &to_bytes, &written].concat();
         self.get(&request, || {
             format!("write {values:04x?} at {to} and read {count} registers at {from}")
         })
@@ -234,11 +221,8 @@ impl CellBus for ForeignBus {
 
     fn wire_s(&self, request_bytes: usize, reply_bytes: usize) -> Option<f64> {
         let mut pace = self.pace.clone();
-        let start_s = self.now_s.max(self.clock.time_s());
-        let mut end_s = start_s;
-        for _ in 0..request_bytes {
-            end_s = pace.arrival_s(start_s);
-        }
+        let start_s = CellBus::now_s(self);
+        let end_s = pace.arrived_s(start_s, request_bytes);
         Some(pace.delivery_s(end_s, reply_bytes) - start_s)
     }
 }

@@ -310,15 +310,6 @@ impl ForeignDrive {
         }
     }
 
-    /// Since its last start, s, as long as it ran; `None` where it never did.
-    pub const fn ran_s(&self) -> Option<f64> {
-        self.soft.ran_s()
-    }
-
-    pub fn is_powered(&self) -> bool {
-        self.soft.is_powered()
-    }
-
     /// The request that writes zero to its first set-point.
     pub(super) fn first_command(&self) -> Vec<u8> {
         let address = self.map.set_points.first().map_or(0, |point| point.location.address);

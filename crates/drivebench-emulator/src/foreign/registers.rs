@@ -34,36 +34,20 @@ pub(super) fn number(layout: Layout, registers: &[u16]) -> f64 {
         if layout.bytes == Order::LowFirst {
             ordered.reverse();
         }
-        // A type of one byte has a register of its own elsewhere.
-        if let [byte] = ordered[..] {
-            ordered = vec![0, byte];
-        }
-        return in_order(layout.kind, &ordered);
-    }
-    for word in registers {
-        let bytes = match layout.bytes {
-            Order::HighFirst => word.to_be_bytes(),
-            Order::LowFirst => word.to_le_bytes(),
-        };
-        match layout.words {
-            Order::HighFirst => ordered.extend(bytes),
-            Order::LowFirst => drop(ordered.splice(0..0, bytes)),
+    } else {
+        for word in registers {
+            let bytes = match layout.bytes {
+                Order::HighFirst => word.to_be_bytes(),
+                Order::LowFirst => word.to_le_bytes(),
+            };
+            match layout.words {
+                Order::HighFirst => ordered.extend(bytes),
+                Order::LowFirst => drop(ordered.splice(0..0, bytes)),
+            }
         }
     }
-    in_order(layout.kind, &ordered)
-}
-
-fn in_order(kind: Kind, bytes: &[u8]) -> f64 {
-    match (kind, bytes) {
-        (Kind::U16, [a, b]) => u16::from_be_bytes([*a, *b]).into(),
-        (Kind::I16, [a, b]) => i16::from_be_bytes([*a, *b]).into(),
-        (Kind::U32, [a, b, c, d]) => u32::from_be_bytes([*a, *b, *c, *d]).into(),
-        (Kind::U8, [_, a]) => (*a).into(),
-        (Kind::I8, [_, a]) => i8::from_be_bytes([*a]).into(),
-        (Kind::I32, [a, b, c, d]) => i32::from_be_bytes([*a, *b, *c, *d]).into(),
-        (Kind::F32, [a, b, c, d]) => f32::from_be_bytes([*a, *b, *c, *d]).into(),
-        _ => f64::NAN,
-    }
+    let bits = ordered.iter().fold(0, |bits, byte| bits << 8 | u32::from(*byte));
+    number_of(layout.kind, bits)
 }
 
 /// The nearest bits that the type has for a raw number.
