@@ -253,18 +253,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_own_profile_is_read_and_says_what_it_has() {
-        let own = DriveProfile::named("own").unwrap();
-        assert!(own.capabilities.voltage_command);
-        assert_eq!(own.signals.get(Channel::Current), Some(Origin::Measured));
-        assert_eq!(own.signals.get(Channel::Torque), None);
-        assert_eq!(own.sides.get(Channel::Current), Some(Side::Terminal));
-        assert_eq!(own.sides.get(Channel::Speed), None);
-        assert_eq!(own.watchdog.kicked_by, KickedBy::Command);
-        assert_eq!(own.link.framing.bits_per_char(), 10);
-    }
-
-    #[test]
     fn an_unknown_profile_names_the_nearest_or_what_there_is() {
         let error = DriveProfile::named("onw").unwrap_err();
         assert_eq!(error.to_string(), "drive profile \"onw\" is not known");

@@ -421,41 +421,6 @@ fn checksum(bytes: &[u8]) -> u16 {
 mod tests {
     use super::*;
 
-    fn records(bytes: &[u8]) -> Vec<Vec<u8>> {
-        let mut at = 24;
-        let mut found = Vec::new();
-        while at < bytes.len() {
-            let length = u32::from_le_bytes(bytes[at + 8..at + 12].try_into().unwrap()) as usize;
-            found.push(bytes[at + 16..at + 16 + length].to_vec());
-            at += 16 + length;
-        }
-        found
-    }
-
-    #[test]
-    fn a_capture_holds_each_frame_once_and_names_its_link_type() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("line.pcap");
-        let file = TapFile::create(&path, UNIX_EPOCH + Duration::from_secs(9)).unwrap();
-        let request = [1, 3, 0, 0, 0, 1, 0x84, 0x0A];
-        let reply = [1, 3, 2, 0, 7, 0xF9, 0x86];
-        let mut tap = file.of(FrameKind::Rtu);
-        tap.sent(&request);
-        tap.received(&reply[..3]);
-        tap.received(&reply[3..]);
-        // Rubbish is kept as it came.
-        tap.received(&[0xFF, 0xFE]);
-        tap.sent(&request);
-        drop(tap);
-        assert_eq!(file.finish(), Ok(()));
-        let bytes = std::fs::read(&path).unwrap();
-        assert_eq!(bytes[..4], 0xA1B2_3C4D_u32.to_le_bytes());
-        assert_eq!(bytes[20..24], 147_u32.to_le_bytes());
-        assert_eq!(bytes[24..28], 9_u32.to_le_bytes());
-        assert_eq!(records(&bytes), [&request[..], &reply, &[0xFF, 0xFE], &request]);
-        assert!(TapFile::create(&path, UNIX_EPOCH).is_err(), "overwritten");
-    }
-
     #[test]
     fn a_full_disk_is_reported_and_delays_no_link() {
         // The device takes nothing: every write fails as on a full disk.
