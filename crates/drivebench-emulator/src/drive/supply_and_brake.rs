@@ -86,21 +86,4 @@ mod tests {
         stiff.step(1.0, true, -1e3);
         assert!(stiff.rise_v().abs() < 1e-12);
     }
-
-    #[test]
-    fn the_brake_opens_after_the_start_and_shuts_after_the_stop() {
-        let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
-        config.brake = Some(BrakeConfig { release_s: 0.2, apply_s: 0.1 });
-        let mut around = SupplyAndBrake::new(&config);
-        assert!(around.holds(), "shut at power-up");
-        let mut after = |seconds: f64, running| {
-            around.step(0.0, running, 0.0);
-            around.step(seconds, running, 0.0);
-            around.holds()
-        };
-        assert!(after(0.15, true));
-        assert!(!after(0.1, true));
-        assert!(!after(0.05, false));
-        assert!(after(0.1, false));
-    }
 }

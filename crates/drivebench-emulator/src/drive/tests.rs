@@ -245,29 +245,6 @@ fn registers_refuse_what_the_table_forbids() {
 }
 
 #[test]
-fn registers_show_the_drive() {
-    let mut drive = drive();
-    drive.write(73, &[150]).unwrap();
-    let words = DriveCommand::new(513, Control::Voltage(-12.345)).to_registers();
-    drive.write(r::COMMAND_ADDRESS, &words).unwrap();
-    let mut block = [0; r::TELEMETRY_WORDS];
-    drive.read(0, &mut block).unwrap();
-    let telemetry = Telemetry::from_registers(&block);
-    assert_eq!(telemetry.seq, 513);
-    assert!((telemetry.voltage_cmd_v + 12.345).abs() <= 0.005 + 1e-9);
-    assert!(telemetry.temperature_c.is_nan());
-    let mut identity = [0; r::IDENTITY_WORDS];
-    drive.read(r::IDENTITY_ADDRESS, &mut identity).unwrap();
-    let identity = Identity::from_registers(&identity).unwrap();
-    assert_eq!(identity.watchdog_ms, 150);
-    assert_eq!(identity.control_period_us, 50);
-    assert!(identity.kind.has(DeviceKind::EMULATOR));
-    let mut echoed = [0; r::COMMAND_WORDS];
-    drive.read(r::COMMAND_ADDRESS, &mut echoed).unwrap();
-    assert_eq!(echoed, words);
-}
-
-#[test]
 fn a_fault_stays_while_its_cause_is_there() {
     let mut drive = limited(|limits| {
         (limits.speed_limit_rad_s, limits.output_off) = (100.0, OutputOff::Open);
@@ -316,23 +293,6 @@ fn faulty(fault: &str) -> SoftDrive {
     let mut config = plain();
     config.faulty = vec![toml::from_str(&format!("{fault}\nfrom_s = 0.5")).unwrap()];
     SoftDrive::new(&config, 1)
-}
-
-#[test]
-fn frozen_registers_leave_clock_and_state_running() {
-    let mut drive = faulty("kind = \"frozen_registers\"");
-    hold(&mut drive, Control::Voltage(20.0), 0.6);
-    let before = drive.telemetry();
-    send(&mut drive, 77, Control::Stop);
-    drive.advance_to(0.9);
-    let after = drive.telemetry();
-    assert!(speed_rad_s(&drive) < 0.5 * before.speed_rad_s);
-    let bits = |t: &Telemetry| {
-        [t.speed_rad_s, t.current_a, t.voltage_v, t.angle_rad, t.bus_v].map(f64::to_bits)
-    };
-    assert_eq!(bits(&after), bits(&before));
-    assert!(after.time_us > before.time_us + 290_000 && after.applied_us > before.applied_us);
-    assert_eq!((after.seq, after.status.state()), (77, Some(State::Ready)));
 }
 
 #[test]

@@ -88,7 +88,6 @@ pub struct ForeignDrive {
     kicked_s: f64,
     processing: Processing,
     fault: Option<Cause>,
-    field_lost: bool,
     field_lost_from_s: Option<f64>,
     /// Stopped by the watchdog, until the next command.
     lapsed: bool,
@@ -140,7 +139,6 @@ impl ForeignDrive {
             kicked_s: 0.0,
             processing: Processing::of(&guise.map),
             fault: None,
-            field_lost: false,
             field_lost_from_s: config.faults.field_lost_from_s,
             lapsed: false,
             hindrance: None,
@@ -176,13 +174,9 @@ impl ForeignDrive {
         self.fail(Cause::Trip);
     }
 
-    pub const fn lose_field(&mut self) {
-        self.field_lost = true;
-    }
-
     fn has_no_field(&self) -> bool {
         let gone = |from_s: f64| self.is_running() && self.soft.plant().time_s() >= from_s;
-        self.field_lost || self.field_lost_from_s.is_some_and(gone)
+        self.field_lost_from_s.is_some_and(gone)
     }
 
     /// Stop from the keypad, which takes control; or control given back to the bus.

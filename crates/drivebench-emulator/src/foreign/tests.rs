@@ -384,44 +384,6 @@ fn demands_in_si_are_followed_or_refused_with_a_reason() {
 }
 
 #[test]
-fn a_lost_field_is_a_trip() {
-    let limited = "[limits]\nfield_min_a = 0.3\n\n[rates]";
-    let (changes, reference) = ([("[rates]", limited)], speed_ref(500.0));
-    let mut table = Table::running("abb-dcs-gateway", &changes, reference, 1.0);
-    table.far().lose_field();
-    let fault = Some(DriveState::Fault);
-    assert!((0..200).any(|_| table.run(reference).unwrap().state == fault));
-    for _ in 0..20 {
-        table.run(reference).unwrap();
-    }
-    assert!(!table.far().is_running());
-}
-
-#[test]
-fn a_profile_of_another_drive_is_refused() {
-    let identity = "\n[[identity]]\nsignal = \"speed_scaling\"\nwithin = [500, 2000]\n\n[rates]";
-    let host = profile_with("abb-efb", &[("\n[rates]", identity)]);
-    // The emulated motor is rated 2800 rpm, and its profile does not ask who it is.
-    let mut table = Table::mixed(&host, &profile_with("abb-efb", &[]), None);
-    assert_contains(&table.link.identify().unwrap_err(), "this is not ABB");
-    // The registers of one make do not exist at another.
-    let refused = Table::mixed(&host, &profile_with("siemens-v20", &[]), None).link.identify();
-    assert!(matches!(refused, Err(LinkError::Exception { .. })));
-}
-
-#[test]
-fn the_watchdog_register_is_set_and_read_back() {
-    for (name, given_s, found_s) in [
-        ("siemens-v20", None, Some(1.0)),
-        ("delta-ms300", Some(2.5), Some(2.5)),
-        ("delta-ms300", None, None),
-    ] {
-        let mut table = Table::of(&profile_with(name, &[]), given_s);
-        assert_eq!(table.link.identify().unwrap().watchdog_s, found_s, "{name}");
-    }
-}
-
-#[test]
 fn a_memory_that_wears_out_is_not_written_in_a_loop() {
     const DUTY: &str = "quantity = \"duty\"\nlimits = [-100, 100]\n";
     let [refreshed, worn] = ["refresh_ms = 100.0", "nvm = true"].map(|key| format!("{DUTY}{key}"));

@@ -49,25 +49,6 @@ fn a_register_without_a_number_gives_no_value_and_never_zero() {
 }
 
 #[test]
-fn safe_torque_off_refuses_the_start_and_ends_a_run() {
-    let mut table = Table::of(&profile_with("epulse50-dc", &[(RUNNING, WITH_STATES)]), None);
-    table.far().switch_torque_off(true);
-    table.link.identify().unwrap();
-    let rest = table.rest();
-    assert_eq!(rest.hindrance, Some(Hindrance::TorqueOff));
-    assert_contains(&table.run(REFERENCE).unwrap_err(), "safe torque off (STO) is active");
-    assert_eq!(table.written("enable_word"), None);
-    table.far().switch_torque_off(false);
-    table.rest();
-    table.enable(REFERENCE);
-    table.far().switch_torque_off(true);
-    let sample = table.run(REFERENCE).unwrap();
-    assert_eq!(sample.hindrance, Some(Hindrance::TorqueOff));
-    assert_ne!(sample.state, Some(DriveState::Running));
-    assert_eq!(table.written("enable_word"), Some(0));
-}
-
-#[test]
 fn a_refusal_names_the_signal_and_its_line_in_the_profile() {
     let mut table = table();
     table.far().refuse(Some(2));
