@@ -1,6 +1,6 @@
 //! The table's own consistency, and the typed views of its blocks.
 
-use crate::support::{identity, telemetry};
+use crate::support::identity;
 use firmware_protocol::registers::{
     self, ANGLE, Access, BUS_VOLTAGE, CURRENT, Kind, SPEED, VOLTAGE, WriteError,
 };
@@ -32,17 +32,6 @@ fn rows_rise_without_overlap_and_are_found_at_each_word() {
     assert!(REGISTERS.is_sorted_by_key(|register| register.address));
     let names: std::collections::HashSet<_> = REGISTERS.iter().map(|r| r.name).collect();
     assert_eq!(names.len(), REGISTERS.len());
-}
-
-#[test]
-fn the_first_sixteen_are_the_telemetry_block() {
-    let block = telemetry().to_registers();
-    let wanted = [
-        0x0182, 0, 0x1234, 0x0102, 0x0304, 0x0102, 0x0000, 2400, 0xFF83, 3025, 0xFF43, 0x9EB2, 482,
-        314, 2400, 1,
-    ];
-    assert_eq!(block, wanted);
-    assert_eq!(Telemetry::from_registers(&block), telemetry());
 }
 
 #[test]
