@@ -266,22 +266,6 @@ mod tests {
     use super::*;
     use crate::standard_gap_s;
 
-    fn settings(baud: u32, reply_ms: f64) -> LinkSettings {
-        LinkSettings { baud, reply_ms, ..DriveProfile::named("own").unwrap().link }
-    }
-
-    #[test]
-    fn a_stream_has_no_gaps_and_a_network_no_line() {
-        let mut stream = DriveProfile::named("own").unwrap();
-        stream.link = settings(115_200, 0.0);
-        stream.link.protocol = Protocol::Stream;
-        let budget = LineBudget::of(&stream).unwrap();
-        assert!(budget.gaps_ms.abs() < 1e-12);
-        assert!((budget.wire_ms - 70.0 * 10.0 / 115.2).abs() < 1e-9);
-        stream.link.protocol = Protocol::ModbusTcp;
-        assert_eq!(LineBudget::of(&stream), None);
-    }
-
     #[test]
     fn a_drive_with_a_map_is_reckoned_with_its_own_requests() {
         let mut profile = DriveProfile::named("epulse50-dc").unwrap();

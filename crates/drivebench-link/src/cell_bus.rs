@@ -41,7 +41,6 @@ impl ReadRequest {
         Self { table: CellTable::Holding, address, count }
     }
 
-    /// The address behind its last cell.
     pub(super) const fn end(self) -> u32 {
         self.address as u32 + self.count as u32
     }
@@ -92,7 +91,6 @@ pub fn registers(count: usize) -> String {
     format!("{count} register{}", if count == 1 { "" } else { "s" })
 }
 
-/// One write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Put<'a> {
     /// Modbus: function code 6 (one register) or 16. VESC: the command.
@@ -168,7 +166,6 @@ pub trait CellBus: Send {
     /// An object of function code 43; `None` where the drive does not have it.
     fn object(&mut self, object: u8) -> Result<Option<String>>;
 
-    /// Whether the far end is known to be software.
     fn is_emulated(&self) -> bool {
         false
     }
@@ -181,7 +178,6 @@ pub trait CellBus: Send {
         None
     }
 
-    /// Lets go of what carries the cells.
     fn close(&mut self) {}
 
     fn statistics(&self) -> LinkStatistics;

@@ -10,7 +10,6 @@ use super::link_error::LinkError;
 pub struct Requested {
     /// Function code; 0: no request of Modbus.
     pub function: u8,
-    /// Registers.
     pub count: u16,
     /// A drive profile maps them.
     pub is_of_profile: bool,
@@ -42,7 +41,6 @@ pub(super) fn sentence(code: u8, requested: Requested, request: &str) -> String 
     }
 }
 
-/// The way on.
 pub(super) const fn help(code: u8, requested: Requested) -> &'static str {
     let Requested { function, count, is_of_profile } = requested;
     match (code, function) {

@@ -66,7 +66,6 @@ impl<'a> Query<'a> {
     }
 }
 
-/// Why a request got no data.
 pub(super) enum NoData {
     /// The drive refused it, with this code and its name.
     Refused {

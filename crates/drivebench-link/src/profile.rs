@@ -60,7 +60,6 @@ pub struct DriveProfile {
     pub registers: Option<Arc<RegisterMap>>,
 }
 
-/// Commands that the drive takes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Capabilities {

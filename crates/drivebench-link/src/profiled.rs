@@ -47,7 +47,6 @@ enum Mode {
     Resetting(Sequence),
 }
 
-/// Action of one exchange.
 enum Wanted<'a> {
     Rest,
     Reset,

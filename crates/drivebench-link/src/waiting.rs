@@ -144,32 +144,3 @@ pub(super) mod alarm {
         });
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use std::time::Duration;
-
-    use super::*;
-
-    #[test]
-    fn virtual_time_jumps_to_what_comes_next_and_never_beyond() {
-        let begun = now();
-        let _virtual = InVirtualTime::at(begun);
-        let (soon, late) = (Duration::from_millis(7), Duration::from_millis(20));
-        let arrival = std::future::poll_fn(|_| {
-            if now() >= begun + soon {
-                return Poll::Ready(());
-            }
-            expect_at(Some(begun + soon));
-            Poll::Pending
-        });
-        let mut arrival = pin!(arrival);
-        let waiting = Waiting::Virtual;
-        assert_eq!(waiting.until(begun + soon / 2, arrival.as_mut()), None);
-        assert_eq!(now(), begun + soon / 2);
-        assert_eq!(waiting.until(begun + late, arrival.as_mut()), Some(()));
-        assert_eq!(now(), begun + soon);
-        assert_eq!(waiting.until(begun + late, std::future::pending::<()>()), None);
-        assert_eq!(now(), begun + late);
-    }
-}

@@ -25,7 +25,6 @@ pub(super) use modbus::{
     begins_with_rtu, read_bytes, read_write_bytes, rtu_frame_len, write_bytes,
 };
 
-/// How frames are separated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameKind {
     Rtu,
@@ -90,7 +89,6 @@ impl FrameKind {
         }
     }
 
-    /// A packet around a body, as the far end makes one.
     #[cfg(test)]
     pub(super) fn packet(self, id: u8, body: &[u8]) -> Vec<u8> {
         match self {
@@ -99,7 +97,6 @@ impl FrameKind {
         }
     }
 
-    /// The cells that a reply carries.
     pub(super) fn cells(self, reply: &[u8], turn: Turn<'_>) -> Result<Vec<u16>, NoData> {
         match self {
             Self::Stream => stream::cells(reply),
@@ -125,7 +122,6 @@ impl FrameKind {
         }
     }
 
-    /// Bytes on the line of a turn, and of its reply.
     pub(super) fn bytes(self, turn: Turn<'_>) -> (usize, usize) {
         match self {
             Self::Rtu | Self::Tcp => modbus::bytes(turn),

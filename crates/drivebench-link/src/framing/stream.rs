@@ -56,7 +56,6 @@ pub(super) fn request(turn: Turn<'_>, number: u32) -> Vec<u8> {
     encode(&Frame::ask(number, message)).to_vec()
 }
 
-/// Bytes of a turn on the line, and of its reply.
 pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
     let reply = match message(turn) {
         Message::Hello => Message::Identity(Identity::default()),
@@ -278,12 +277,5 @@ mod tests {
         let Ok(cells) = cells(&block(80, &[sample])) else { panic!("a block has cells") };
         assert!((samples(&cells)[0].current_a - 0.000_12).abs() < 1e-9);
         assert_eq!(telemetry(&cells), None);
-    }
-
-    #[test]
-    fn a_refusal_has_the_name_of_its_code() {
-        let refusal = Message::Error(Refusal { kind: 2, code: ErrorCode::OutOfRange });
-        let refused = cells(&bytes_of(7, &refusal));
-        assert!(matches!(refused, Err(NoData::Refused { code: 3, name: "out of range" })));
     }
 }

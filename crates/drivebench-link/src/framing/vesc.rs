@@ -81,7 +81,6 @@ pub(super) fn request(turn: Turn<'_>, number: u32) -> Vec<u8> {
     parts.chain([vec![SELECTIVE, b3, b2, b1, b0]]).flat_map(|payload| packet(&payload)).collect()
 }
 
-/// Bytes of a turn on the line, and of its reply.
 pub(super) fn bytes(turn: Turn<'_>) -> (usize, usize) {
     let (command, mask) = wanted(turn.read);
     let values = 2 * AROUND + usize::from(width(mask));

@@ -120,7 +120,6 @@ impl RawClient {
         Ok(Self::over(link, settings.timeout, at))
     }
 
-    /// `at`: settings of a serial line, for messages.
     fn over(mut link: OwnLink<Client>, timeout: Duration, at: String) -> Self {
         if link.exchange.kind == FrameKind::Rtu {
             // Silence after which an adapter has handed over all it had (the latency timer of FTDI is 16 ms).
@@ -138,7 +137,6 @@ impl RawClient {
         self.link.exchange.addressee = format!(" of unit {unit}{}", self.at);
     }
 
-    /// Selects another unit of the line.
     pub fn set_unit(&mut self, unit: u8) {
         self.link.language.unit = unit;
         self.link.language.attach(&self.link.exchange);

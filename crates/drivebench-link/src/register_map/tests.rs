@@ -169,7 +169,7 @@ fn defects_are_named_with_place_and_nearest_key() {
     let text = include_str!("defects.toml");
     let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
     let defects = defects.remove("defect").unwrap();
-    assert_eq!(defects.len(), 44);
+    assert_eq!(defects.len(), 52);
     let mut surprises = Vec::new();
     for defect in defects {
         let (error, at) = wrong(&defect.profile, &defect.from, &defect.to);
