@@ -139,16 +139,6 @@ mod tests {
     }
 
     #[test]
-    fn the_next_request_waits_for_the_line() {
-        let mut pace = Pace::serial(&LineConfig::default(), true);
-        let end = pace.arrival_s(0.0);
-        let delivered = pace.delivery_s(end, 10);
-        let next = pace.arrival_s(0.0);
-        assert!((next - delivered - 0.001_75 - 10.0 / 115_200.0).abs() < 1e-12);
-        assert!((pace.arrival_s(5.0) - 5.0 - 10.0 / 115_200.0).abs() < 1e-12);
-    }
-
-    #[test]
     fn so_many_answers_come_late_and_the_others_in_time() {
         let line = LineConfig { late_share: 0.01, late_ms: 30.0, ..LineConfig::default() };
         let mut pace = Pace::serial(&line, true);

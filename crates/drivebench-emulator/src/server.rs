@@ -26,7 +26,6 @@ use super::tcp::{TcpPort, TcpPorts};
 use super::{EmulatorConfig, EmulatorConfigError, ForeignDrive, Guise, SoftDrive};
 use drivebench_link::Protocol;
 
-/// Where the drive is to be found.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Endpoint {
     /// A pseudo-terminal behind this path, a symlink that stays the same over sessions.
@@ -45,7 +44,6 @@ impl Endpoint {
     }
 }
 
-/// Why the drive cannot be served.
 #[derive(Debug, Error)]
 pub enum ServerError {
     #[error("pseudo-terminal {}: {source}", .path.display())]
@@ -129,10 +127,6 @@ impl ServerHandle {
 
     pub fn answers(&self) -> u64 {
         self.counters.answers.load(Ordering::Relaxed)
-    }
-
-    pub fn bytes_dropped(&self) -> u64 {
-        self.counters.bytes_dropped.load(Ordering::Relaxed)
     }
 
     /// Ends the service; for a host the drive has then lost its power.

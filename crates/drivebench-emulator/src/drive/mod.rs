@@ -32,7 +32,7 @@ use self::output::{Output, OutputStage};
 use self::supply_and_brake::SupplyAndBrake;
 use super::config::EmulatorConfig;
 use super::fault::FaultKind;
-use super::truth::effect::{Site, TrueParameter};
+use super::truth::effect::Site;
 use super::truth::{MotorTruth, Plant, Reading, Sensors};
 use drivebench_model::numerics::count::whole;
 
@@ -51,7 +51,6 @@ pub struct SoftDrive {
     identity: Identity,
     winding_limit_c: f64,
     specimen: MotorTruth,
-    hidden: Vec<(&'static str, TrueParameter)>,
     plant: Plant,
     sensors: Sensors,
     encoder: Encoder,
@@ -85,13 +84,6 @@ impl SoftDrive {
     /// noise and random loads.
     pub fn new(config: &EmulatorConfig, seed: u64) -> Self {
         let specimen = config.motor.specimen(config.tolerance, seed);
-        let hidden = config
-            .hidden
-            .iter()
-            .flat_map(|effect| {
-                effect.parameters().into_iter().map(|parameter| (effect.id(), parameter))
-            })
-            .collect();
         // 2^64 / golden ratio (Knuth, *The Art of Computer Programming*, vol. 3, §6.4): separates the days of one seed from those
         // of its neighbours.
         let chance = seed.wrapping_add(config.day.wrapping_mul(0x9E37_79B9_7F4A_7C15));
@@ -103,7 +95,6 @@ impl SoftDrive {
         Self {
             identity: identity(config, seed),
             winding_limit_c: config.limits.winding_limit_c,
-            hidden,
             plant,
             specimen,
             sensors: Sensors::new(config.noise.clone(), config.quantisation.clone(), chance)
@@ -194,7 +185,6 @@ impl SoftDrive {
         self.fault
     }
 
-    /// Number of the last command that was applied.
     pub(super) const fn seq(&self) -> u16 {
         self.seq
     }
@@ -221,11 +211,6 @@ impl SoftDrive {
     /// The true parameters of this specimen: for tests.
     pub const fn truth(&self) -> &MotorTruth {
         &self.specimen
-    }
-
-    /// The true parameters of the hidden effects, as `(effect id, parameter)`.
-    pub fn hidden(&self) -> &[(&'static str, TrueParameter)] {
-        &self.hidden
     }
 
     /// The true machine: for tests and for comparing a sensor with the truth.

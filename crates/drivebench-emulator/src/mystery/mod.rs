@@ -26,7 +26,6 @@ pub struct Mystery {
     pub truth: Truth,
 }
 
-/// What a mystery hides.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Truth {
     pub seed: u64,

@@ -151,30 +151,6 @@ fn halving_the_step_shows_the_order_through_stick_and_reversal() {
     assert!(error(&bristle, exact, H / 4.0) < 0.5 * at_h);
 }
 
-#[test]
-fn the_voltage_for_a_current_brings_that_current() {
-    let mut plant = Plant::new(zk_22fc(), &[]);
-    for _ in 0..2000 {
-        plant.advance(Terminals::Voltage(plant.voltage_for_current(8.0, H)), H);
-        assert!((plant.current_a() - 8.0).abs() < 1e-3);
-    }
-}
-
-#[test]
-fn a_locked_shaft_takes_the_stall_current_an_open_one_none() {
-    let mut locked = Plant::new(zk_22fc(), &[]).broken(true, false);
-    run(&mut locked, Terminals::Voltage(22.0), 0.5, H);
-    let off_a = locked.current_a() - 20.0;
-    assert!(off_a.abs() < 1e-6, "{off_a}");
-    assert!(locked.speed_rad_s() == 0.0 && locked.angle_rad() == 0.0);
-
-    let mut open = Plant::new(zk_22fc(), &[]).broken(false, true);
-    run(&mut open, Terminals::Voltage(110.0), 0.5, H);
-    assert!(open.current_a() == 0.0 && open.speed_rad_s() == 0.0);
-    let off_v = open.terminal_v() - 110.0;
-    assert!(off_v.abs() < 1e-12, "the drive still puts it out");
-}
-
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 

@@ -56,7 +56,6 @@ pub struct Sensors {
     filtered: Option<SensorState>,
 }
 
-/// Current and speed on their way through the sensors.
 #[derive(Clone, Copy, Debug)]
 struct SensorState {
     delayed_rad_s: f64,

@@ -147,15 +147,18 @@ pub(super) const NO_REFRESH: (&str, &str) = ("refresh_ms = 100.0", "");
 
 #[test]
 fn an_unacknowledged_set_point_is_written_again() {
-    let mut table = Table::running("epulse50-dc", &[NO_REFRESH], REFERENCE, 0.5);
-    let before = table.written("speed_ref");
-    table.link.bus_mut().lose_replies(1);
-    let lost = table.run(speed_ref(700.0)).unwrap_err();
-    assert!(lost.is_transient(), "{lost}");
-    assert_ne!(table.written("speed_ref"), before);
-    // As asked before the reply was lost: the drive must not keep what nobody wants any more.
-    table.run(REFERENCE).unwrap();
-    assert_eq!(table.written("speed_ref"), before);
+    let joint = ("functions = [3, 6, 16]", "functions = [3, 6, 16, 23]");
+    for changes in [&[NO_REFRESH][..], &[NO_REFRESH, joint, stamps::ONE_BLOCK]] {
+        let mut table = Table::running("epulse50-dc", changes, REFERENCE, 0.5);
+        let before = table.written("speed_ref");
+        table.link.bus_mut().lose_replies(1);
+        let lost = table.run(speed_ref(700.0)).unwrap_err();
+        assert!(lost.is_transient(), "{lost}");
+        assert_ne!(table.written("speed_ref"), before);
+        // As asked before the reply was lost: the drive must not keep what nobody wants any more.
+        table.run(REFERENCE).unwrap();
+        assert_eq!(table.written("speed_ref"), before);
+    }
 }
 
 /// The servo amplifier whose watchdog trips it and says so on a bit of its status word.

@@ -69,16 +69,6 @@ fn driven(hidden: &[HiddenEffect], levels: &[f64]) -> (Plant, usize) {
 }
 
 #[test]
-fn a_weight_beyond_friction_turns_the_machine() {
-    let weight = |constant_n_m| [hidden("constant_load", &[("constant_n_m", constant_n_m)])];
-    let (plant, _) = driven(&weight(0.6), &[0.0; 2]);
-    assert!(plant.speed_rad_s() < -1.0, "against positive speed");
-    // 1.0 V drive 0.32 N.m, Coulomb holds 0.455: 0.2 N.m more turn it backwards, none forwards.
-    assert_eq!(driven(&weight(0.2), &[1.0, 1.0]).1, 0);
-    assert!(driven(&weight(0.2), &[-1.0, -1.0]).1 > 0);
-}
-
-#[test]
 fn each_effect_changes_motion_or_path_and_no_machine_at_rest() {
     // Those of one direction, of time, and of the shaft angle where they are not odd about the start are not symmetric.
     let skewed = [
@@ -249,12 +239,7 @@ fn a_value_that_an_effect_cannot_have_is_named() {
     ] {
         assert_eq!(hidden(id, values).refused(), refused, "{id}");
     }
-    for (id, values) in [
-        ("cog", &[("order", 6.0)][..]),
-        ("command_delay", &[("delay", 1.0)]),
-        ("command_delay", &[]),
-        ("command_delay", &[("delay_s", 0.1), ("delay", 1.0)]),
-    ] {
-        assert_eq!(HiddenEffect::new(id, values), None, "{id}");
+    for values in [&[][..], &[("delay_s", 0.1), ("delay", 1.0)]] {
+        assert_eq!(HiddenEffect::new("command_delay", values), None, "{values:?}");
     }
 }
