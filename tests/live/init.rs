@@ -44,21 +44,6 @@ fn our_own_drive_is_set_up_planned_and_run() {
 }
 
 #[test]
-fn a_drive_of_another_make_that_takes_a_speed_is_set_up_and_run() {
-    let desk = Desk::new();
-    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
-    let options = "init --drive epulse50-dc --port sim: --motor {} --out {}";
-    let done = call(options, &[&plate(), &file]).expect(0);
-    has(&done.stderr, &["takes no voltage command"]);
-    lacks(&done.stderr, &["drivebench run"]);
-    call("plan {}", &[&file]).expect(0);
-    let speed = "speed {} --headless --waive-watchdog --json --emulator zk-22fc-plain --out {}";
-    json_of(speed, &[&file, &runs]);
-    assert_eq!(desk.manifest()["outcome"], "passed");
-    call("run {} --headless", &[&file]).fails(2, &["takes no voltage command"]);
-}
-
-#[test]
 fn limits_are_read_from_the_drive_and_only_offline_does_without() {
     let desk = Desk::new();
     let pty = desk.path("own.pty");
@@ -100,23 +85,6 @@ fn a_wrong_drive_and_a_frequency_converter_are_refused() {
     call(options, &[&pty, &plate()]).fails(3, &["drivebench probe"]);
     let options = "init --drive siemens-v20 --port {} --motor {}";
     call(options, &[&pty, &plate()]).fails(2, &["takes no armature voltage"]);
-}
-
-#[test]
-fn a_run_finds_a_motor_from_its_rated_values_alone() {
-    let desk = Desk::new();
-    let plate = desk.put(
-        "motor.toml",
-        "name = \"what is on the plate\"\nrated_voltage_v = 110.0\nrated_current_a = 5.7\nrated_speed_rad_s = 293.2\n",
-    );
-    let (file, runs) = (desk.path("bench.toml"), desk.path("runs"));
-    let options = "init --drive own --port sim: --motor {} --out {}";
-    let done = call(options, &[&plate, &file]).expect(0);
-    has(&done.stderr, &["small steps"]);
-    lacks(&done.stderr, &["drivebench plan"]);
-    let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
-    let found = json_of(run, &[&file, &runs]);
-    assert_eq!(found["escalation"]["outcome"], "found");
 }
 
 #[test]

@@ -14,7 +14,6 @@ mod witness;
 
 mod burst;
 mod c_slave;
-mod endurance;
 mod fault_trials;
 mod init;
 mod link_contract;

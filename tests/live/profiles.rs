@@ -31,80 +31,60 @@ fn a_frequency_converter_is_refused_before_anything_is_sent() {
         .fails(2, &["takes no armature voltage", "docs/drives.md"]);
 }
 
-fn a_servo_amplifier_is_driven_by_a_speed_loop() {
-    let desk = Desk::new();
-    let pty = desk.path("epulse.pty");
-    let runs = desk.path("runs");
-    let _emulator =
-        Emulator::start("emulate zk-22fc-plain --profile epulse50-dc --pty {}", &[&pty]);
-    let bench = bench(&desk, "epulse50-dc", 20, SPEED);
-    let done = call(
-        "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
-        &[&bench, &pty, &runs],
-    )
-    .expect(0);
-    has(&done.stderr, &["drive profile epulse50-dc"]);
-    has(&done.stderr, &["trust manual"]);
-    let manifest = desk.manifest();
-    let configs = &manifest["configs"];
-    assert!(configs["drive"].as_str().unwrap().contains("trust = \"manual\""));
-    assert!(configs["drive_provenance"].as_str().unwrap().contains("trust manual"));
-    assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
+/// A profile of a user.
+const FILE: &str = "roboteq-120v.toml";
+
+/// A drive in a process of its own, the end of its ready line, and whether it follows a reference of speed; else it takes
+/// voltages.
+const DRIVES: [(&str, &str, bool); 5] = [
+    ("epulse50-dc", "profile=epulse50-dc", true),
+    ("odrive-0.5", "profile=odrive-0.5", true),
+    ("vesc-dc", "unit=1 baud=115200 profile=vesc-dc", false),
+    ("dynamixel-xm430", "unit=1 baud=57600 profile=dynamixel-xm430", false),
+    (FILE, "profile=roboteq-dc", false),
+];
+
+/// Beside each other, for they wait most of the time.
+#[test]
+fn drives_of_other_makes_run_in_real_time() {
+    at_once(DRIVES, |(name, ready, is_followed)| {
+        let desk = Desk::new();
+        let (pty, runs) = (desk.path("drive.pty"), desk.out());
+        let file = desk.put(FILE, &roboteq_of_120_v());
+        let profile = if name == FILE { file.to_str().unwrap() } else { name };
+        let text = format!("emulate zk-22fc-plain --profile {profile} --pty {{}}");
+        let emulator = Emulator::start(&text, &[&pty]);
+        assert!(emulator.ready.trim_end().ends_with(ready), "{name}: {}", emulator.ready);
+        let (command, reference) = if is_followed { ("speed", SPEED) } else { ("run", "") };
+        // Five drives and five programs share the processor.
+        let bench = bench(&desk, profile, 8, reference);
+        let text =
+            format!("{command} {{}} --port {{}} --headless --hardware --waive-watchdog --out {{}}");
+        let done = call(&text, &[&bench, &pty, &runs]).expect(0);
+        let manifest = desk.manifest();
+        assert_eq!(manifest["outcome"], "passed", "{name}");
+        assert_eq!(manifest["wire"]["foreign_frames"], 0, "{name}");
+        assert!(desk.read("samples.csv").lines().count() > 10, "{name}");
+        if is_followed {
+            assert_eq!(manifest["signals"]["speed_rad_s"], "measured", "{name}");
+        }
+        if name == "epulse50-dc" {
+            has(&done.stderr, &["drive profile epulse50-dc", "trust manual"]);
+            let configs = &manifest["configs"];
+            has(word(configs, "/drive"), &["trust = \"manual\""]);
+            has(word(configs, "/drive_provenance"), &["trust manual"]);
+        }
+    });
 }
 
+#[test]
 fn our_emulator_with_another_profile_counts_as_emulator() {
     let desk = Desk::new();
-    let runs = desk.path("runs");
     let bench = bench(&desk, "epulse50-dc", 20, SPEED);
-    call(
-        "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}",
-        &[&bench, &runs],
-    )
-    .expect(0);
+    let text =
+        "speed {} --port emulator --emulator zk-22fc-plain --headless --waive-watchdog --out {}";
+    call(text, &[&bench, &desk.out()]).expect(0);
     assert_eq!(desk.manifest()["identity"]["is_emulator"], true);
-}
-
-/// Drives of other languages than Modbus: a sequence of voltages over a real pseudo-terminal.
-fn drives_of_other_languages_take_voltages() {
-    for (profile, ready) in [
-        ("vesc-dc", "unit=1 baud=115200 profile=vesc-dc\n"),
-        ("dynamixel-xm430", "unit=1 baud=57600 profile=dynamixel-xm430\n"),
-    ] {
-        let desk = Desk::new();
-        let (pty, runs) = (desk.path("drive.pty"), desk.path("runs"));
-        let emulator = Emulator::start(
-            &format!("emulate zk-22fc-plain --profile {profile} --pty {{}}"),
-            &[&pty],
-        );
-        assert!(emulator.ready.ends_with(ready), "{}", emulator.ready);
-        let bench = bench(&desk, profile, 20, "");
-        call(
-            "run {} --port {} --headless --hardware --waive-watchdog --out {}",
-            &[&bench, &pty, &runs],
-        )
-        .expect(0);
-        let manifest = desk.manifest();
-        assert_eq!(manifest["outcome"], "passed", "{profile}");
-        assert_eq!(manifest["wire"]["foreign_frames"], 0, "{profile}");
-        let samples = desk.read("samples.csv");
-        assert!(samples.lines().count() > 10, "{profile}: {samples}");
-    }
-}
-
-/// A drive that is spoken to in lines, with the speed loop that it can carry.
-fn a_drive_of_lines_is_driven_by_a_speed_loop() {
-    let desk = Desk::new();
-    let (pty, runs) = (desk.path("odrive.pty"), desk.path("runs"));
-    let _emulator = Emulator::start("emulate zk-22fc-plain --profile odrive-0.5 --pty {}", &[&pty]);
-    let bench = bench(&desk, "odrive-0.5", 8, SPEED);
-    call(
-        "speed {} --port {} --headless --hardware --waive-watchdog --out {}",
-        &[&bench, &pty, &runs],
-    )
-    .expect(0);
-    let manifest = desk.manifest();
-    assert_eq!(manifest["signals"]["speed_rad_s"], "measured");
-    assert_eq!(manifest["wire"]["foreign_frames"], 0);
 }
 
 /// The whole way of somebody with such a drive on the desk, in virtual time: the hidden Stribeck friction is named.
@@ -134,19 +114,6 @@ fn a_vesc_and_a_dynamixel_are_commissioned() {
     }
 }
 
-/// Beside each other, for they wait most of the time.
-#[test]
-fn drives_of_other_makes_run_in_real_time() {
-    let tests: [fn(); 5] = [
-        a_drive_of_lines_is_driven_by_a_speed_loop,
-        drives_of_other_languages_take_voltages,
-        a_servo_amplifier_is_driven_by_a_speed_loop,
-        our_emulator_with_another_profile_counts_as_emulator,
-        a_profile_from_a_file_takes_voltages,
-    ];
-    at_once(tests, |test| test());
-}
-
 #[test]
 fn an_unknown_command_of_a_drive_leads_to_its_setpoints() {
     let desk = Desk::new();
@@ -168,26 +135,6 @@ fn the_example_is_plausible_at_its_own_emulator() {
     let profile = example(&desk);
     let done = call("probe --port emulator --drive {}", &[&profile]).expect(0);
     lacks(&done.stdout, &["FAILED"]);
-}
-
-fn a_profile_from_a_file_takes_voltages() {
-    let desk = Desk::new();
-    let pty = desk.path("roboteq.pty");
-    let runs = desk.path("runs");
-    let profile = desk.put("roboteq-120v.toml", &roboteq_of_120_v());
-    let _emulator =
-        Emulator::start("emulate zk-22fc-plain --profile {} --pty {}", &[&profile, &pty]);
-    let bench = bench(&desk, profile.to_str().unwrap(), 20, "");
-    call(
-        "run {} --port {} --headless --hardware --waive-watchdog --json --out {}",
-        &[&bench, &pty, &runs],
-    )
-    .expect(0)
-    .json();
-    let manifest = desk.manifest();
-    assert_eq!(manifest["outcome"], "passed");
-    let samples = desk.read("samples.csv");
-    assert!(samples.lines().count() > 10, "{samples}");
 }
 
 #[test]

@@ -209,16 +209,6 @@ fn a_search_ends_with_ctrl_c_or_its_time_or_at_once() {
     });
 }
 
-#[test]
-fn a_time_that_cannot_be_is_refused() {
-    refusals(
-        "run --headless --reopen-s=-1   => --reopen-s
-         run --headless --reopen-s=soon => --reopen-s
-         run --headless --reopen-s=1e9  => --reopen-s",
-        &[],
-    );
-}
-
 /// How the proxy treats a connection: bytes go through, go nowhere, or the connection is cut.
 const THROUGH: u8 = 0;
 const NOWHERE: u8 = 1;

@@ -135,24 +135,6 @@ fn the_loop_over_a_pseudo_terminal_states_its_delay() {
     assert!(number(&steps[1], "absolute_error_rad") < 20.0, "{}", steps[1]);
 }
 
-#[test]
-fn a_broken_encoder_trips_and_the_run_is_kept() {
-    for (fault, reason) in [
-        ("encoder_reversed = true", "encoder reversed"),
-        ("encoder_frozen_from_s = 0.2", "encoder frozen"),
-    ] {
-        let desk = Desk::new();
-        let text = format!("{EMULATOR}\n[faults]\n{fault}\n");
-        let emulator = desk.put("emulator.toml", &text);
-        desk
-            // The pulse before the run would find them out.
-            .speed(BENCH, "--waive-direction --emulator {}", &[&emulator])
-            .fails(4, &[reason]);
-        let events = desk.read("events.jsonl");
-        has(&events, &["\"trip\""]);
-    }
-}
-
 /// A model file of the motor, and what follows its table.
 fn model_with(effect: &str) -> String {
     format!(
@@ -181,51 +163,6 @@ fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
     let first = &found["loop"]["steps"][6];
     assert!(number(first, "overshoot_percent") > 20.0, "{first}");
     softened_within(&found, 12.0..14.0);
-}
-
-#[test]
-fn what_is_given_forward_is_compared_in_one_run() {
-    let desk = Desk::new();
-    let drop = "voltage_drop\"\ndrop_v = 2.0\n";
-    let plain = EMULATOR.split("[[change]]").next().expect("a beginning");
-    let emulator = desk.put("emulator.toml", &format!("{plain}\n[[hidden]]\nid = \"{drop}"));
-    let model = desk.put("model.toml", &model_with(&format!("[[effect]]\nid = \"{drop}")));
-    let (before, _) = BENCH.split_once("[[speed.reference]]").expect("a reference");
-    let (_, sequence) = BENCH.split_once("[[sequence]]").expect("a sequence");
-    let bench = format!(
-        "{before}[[speed.reference]]\npolyline = {{ points = [[0.0, 15.0], [2.0, -15.0], [4.0, 15.0]] }}\n\n[[sequence]]{sequence}"
-    );
-    let options = "--emulator {} --model {} --feed-forward compare";
-    let done = desk.speed(&bench, options, &[&emulator, &model]).expect(0);
-    let found = done.json();
-    let passes = found["loop"]["tracking"].as_array().expect("passes");
-    assert_eq!(passes.len(), 2);
-    let rms = |pass: &Value| number(pass, "rms_rad_s");
-    assert!(rms(&passes[1]) < 0.5 * rms(&passes[0]), "{passes:?}");
-    let page = desk.read("report.html");
-    has(&page, &["Speed loop", "feed-forward"]);
-}
-
-#[test]
-fn a_current_or_a_speed_is_commanded_where_the_drive_takes_it() {
-    let bench = |lag: &str| {
-        BENCH.replace("controller = \"addc\"", lag).replace("periods = 8", "periods = 2")
-    };
-    for (options, section, actuator) in [
-        ("--actuator current", "controller = \"addc\"", "current"),
-        ("--actuator speed", "controller = \"pi\"\ndrive_lag_s = 0.2", "speed"),
-    ] {
-        let desk = Desk::new();
-        let done = desk.speed(&bench(section), options, &[]).expect(0);
-        let found = done.json();
-        assert_eq!(found["loop"]["actuator"], actuator);
-        for step in &found["loop"]["steps"].as_array().expect("steps")[1..] {
-            assert!(number(step, "overshoot_percent") < 20.0, "{actuator}: {step}");
-            assert!(step["settling_s"].is_number(), "{actuator}: {step}");
-        }
-    }
-    let desk = Desk::new();
-    desk.speed(BENCH, "--actuator speed", &[]).fails(2, &["does not act with a speed"]);
 }
 
 #[test]

@@ -109,7 +109,10 @@ fn wrong_arguments_are_usage_errors() {
          registers write 1 --port x
          doctor
          doctor --port x --units 9-3
-         run --headless --port sim: --tap x.pcap",
+         run --headless --port sim: --tap x.pcap
+         run --headless --reopen-s=-1   => --reopen-s
+         run --headless --reopen-s=soon => --reopen-s
+         run --headless --reopen-s=1e9  => --reopen-s",
         &[],
     );
 }
