@@ -74,6 +74,16 @@ fn the_record_itself_is_good() {
     }
 }
 
+/// A steady state: voltage, current and speed with the noise of sensors.
+fn level(u: f64, i: f64, w: f64) -> String {
+    let mut noise = noise(11);
+    let mut text = format!("{COLUMNS}\n");
+    for row in good() {
+        push(&mut text, &[row[0], u, i + noise(0.03), w + noise(0.15)]);
+    }
+    text
+}
+
 /// One row for each sentence: which signal it is about is judged, and tested, in the crate of the identification.
 #[test]
 fn a_spoilt_record_is_refused_with_its_fault() {
@@ -99,35 +109,18 @@ fn a_spoilt_record_is_refused_with_its_fault() {
     for (words, change) in cases {
         refused(words, false, &spoilt(change));
     }
-}
-
-#[test]
-fn a_record_without_excitation_is_refused() {
-    let mut noise = noise(11);
-    let mut level = |u: f64, i: f64, w: f64| {
-        let mut text = format!("{COLUMNS}\n");
-        for row in good() {
-            let cells = [row[0], u, i + noise(0.03), w + noise(0.15)];
-            push(&mut text, &cells);
-        }
-        text
-    };
+    let (rpm, with_angle) = (|row: &mut Row| row[3] *= RPM, format!("{COLUMNS},angle_rad"));
     let steady = level(24.0, 1.286, 63.8);
-    refused("24 & one operating point & steps of voltage", false, &steady);
-    refused("one operating point", true, &steady);
-    refused("stands still & 7.995 s & steps of voltage", false, &level(0.0, 0.0, 0.0));
-}
-
-#[test]
-fn a_wrong_unit_is_named_with_its_factor() {
-    let rpm = |row: &mut Row| row[3] *= RPM;
-    let with_angle = format!("{COLUMNS},angle_rad");
-    let words = "r/min & 9.549 & *0.104719755";
-    refused(words, false, &spoilt_csv(&with_angle, rpm));
-    refused(words, true, &spoilt(rpm));
-    let milliamps = spoilt(|row| row[2] *= 1e3);
-    refused("mA & 1000 & *0.001", true, &milliamps);
-    refused("mA & 1000", false, &milliamps);
+    for (words, has_model, text) in [
+        ("24 & one operating point & steps of voltage", false, &steady),
+        ("one operating point", true, &steady),
+        ("stands still & 7.995 s & steps of voltage", false, &level(0.0, 0.0, 0.0)),
+        ("r/min & 9.549 & *0.104719755", false, &spoilt_csv(&with_angle, rpm)),
+        ("r/min & 9.549 & *0.104719755", true, &spoilt(rpm)),
+        ("mA & 1000 & *0.001", true, &spoilt(|row| row[2] *= 1e3)),
+    ] {
+        refused(words, has_model, text);
+    }
 }
 
 #[test]
@@ -269,21 +262,4 @@ fn the_origin_travels_from_the_drives_profile_to_the_answer() {
     assert_eq!(signals["voltage_v"]["side"], "terminal");
     assert_eq!(signals["current_a"]["side"], "terminal");
     assert_eq!(signals["speed_rad_s"]["side"], Value::Null);
-}
-
-#[test]
-fn a_signal_with_holes_is_named() {
-    let desk = Desk::new();
-    let nameplate = desk.nameplate();
-    let rows = std::cell::Cell::new(0);
-    let text = spoilt(|row| {
-        rows.set(rows.get() + 1);
-        if rows.get() % 4 == 0 {
-            row[2] = f64::NAN;
-        }
-    });
-    let file = desk.put("log.csv", &text);
-    let done = call("compare {} --model {}", &[&file, &nameplate]).expect(0);
-    let said = "current_a is missing in 400 of 1600 samples";
-    has(&done.stderr, &[said]);
 }

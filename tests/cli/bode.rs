@@ -105,30 +105,6 @@ fn no_mode_is_named_in_an_ordinary_run_of_a_motor_that_has_none() {
 }
 
 #[test]
-fn a_slow_link_says_what_its_rate_cannot_show() {
-    let desk = Desk::new();
-    let text = fs::read_to_string(CHIRP).unwrap();
-    let text = text.replace("\"own-stream\"", "\"own\"");
-    let text = text.replace("\"stream\"", "\"modbus-rtu\"");
-    let bench = desk.put("rtu.toml", &text.replace("rate_hz = 500.0", "rate_hz = 100.0"));
-    let out = desk.out();
-    let paths: [&Path; 2] = [&bench, &out];
-    call("run {} --headless --port sim:rtu --out {}", &paths).expect(0);
-    let run = desk.run();
-    let found = json_of("bode {} --json", &[&run]);
-    assert!((number(&found, "/sampling_hz") / 100.0 - 1.0).abs() < 0.05);
-    let highest = number(&found, "/highest_hz");
-    assert!((25.0..35.0).contains(&highest), "{highest}");
-    for pathway in found["pathways"].as_array().unwrap() {
-        let points = pathway["points"].as_array().unwrap();
-        let last = number(points.last().unwrap(), "/frequency_hz");
-        assert!(last <= highest, "{last}");
-    }
-    let text = call("bode {}", &[&run]).expect(0).stdout;
-    has(&text, &["shown up to 30 Hz", "would appear below it"]);
-}
-
-#[test]
 fn a_run_in_a_closed_loop_is_taken_with_a_caution() {
     let desk = Desk::new();
     let options = "--emulator zk-22fc-plain";

@@ -20,23 +20,6 @@ fn run(desk: &Desk, bench: &str, emulator: &str, options: &str) -> Done {
 }
 
 #[test]
-fn the_pulse_is_told_with_its_figures_and_nothing_is_waived() {
-    let desk = Desk::new();
-    let done = run(&desk, &bench("", STEPS), PLAIN, "").expect(0);
-    has(
-        &done.stderr,
-        &[
-            "direction          pulse one way and back: +",
-            "plausibility       forward resistance",
-            "back-EMF constant 0.3",
-            "times the nameplate's 0.3538",
-        ],
-    );
-    let manifest = desk.manifest();
-    assert_eq!(manifest["waivers"].as_array().map(Vec::len), Some(0));
-}
-
-#[test]
 fn a_record_that_cannot_begin_is_refused_before_any_motion() {
     let desk = Desk::new();
     let file = desk.put("file", "no folder");
@@ -70,16 +53,6 @@ fn a_reversed_encoder_is_refused_and_its_waiver_recorded() {
     let waivers = desk.manifest()["waivers"].to_string();
     has(&waivers, &["direction", "plausibility"]);
     has(&desk.read("events.jsonl"), &["\"waived\""]);
-}
-
-#[test]
-fn a_back_emf_per_revolution_is_refused_with_the_mistake_named() {
-    let desk = Desk::new();
-    let wrong =
-        bench("", STEPS).replace("back_emf_v_s_per_rad = 0.3538", "back_emf_v_s_per_rad = 0.03705");
-    let error = run(&desk, &wrong, PLAIN, "").expect(3).error();
-    has(&error, &["plausibility: back-EMF constant 0.3"]);
-    has(&error, &["V per r/min on the nameplate", "--waive-plausibility"]);
 }
 
 const VERTICAL: &str = "[load]\nvertical = true\nhold_current_a = 2.26\n\

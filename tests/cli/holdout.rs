@@ -127,31 +127,28 @@ fn page_of(desk: &Desk, command: &str, run: &Path, holdout: &Path) -> (String, S
 }
 
 #[test]
-fn a_page_names_no_rejected_holdout_and_gives_the_reason() {
+fn a_page_names_what_it_is_judged_by_and_what_is_objected_to() {
     let desk = Desk::new();
-    let run = desk.put("run.csv", &text_of(good(), |_| {}));
-    let other = record(OTHER, 0.9);
-    let other = desk.put("other.csv", &text_of(&other, |_| {}));
-    let (_, page) = page_of(&desk, "diagnose", &run, &other);
-    has(&page, &["run.csv, last 40 % held out"]);
-    lacks(&page, &["held out other.csv"]);
-    assert!(!page.contains("run 2"), "two runs: {page}");
-    has(&page, &["not of the same motor"]);
-}
-
-#[test]
-fn a_page_does_not_call_unseen_what_is_objected_to() {
-    let desk = Desk::new();
-    let run = desk.put("run.csv", &text_of(good(), |_| {}));
-    let (_, page) = page_of(&desk, "compare", &run, &run);
-    lacks(&page, &["not used in the fit"]);
-    has(&page, &["its samples are those of the run"]);
-    let desk = Desk::new();
-    let again = record(again(23), 0.9);
-    let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
-    let (_, page) = page_of(&desk, "compare", &run, &holdout);
-    has(&page, &["held out again.csv", "not used in the fit"]);
-    lacks(&page, &["About the data"]);
+    let put = |name: &str, rows: &[Row]| desk.put(name, &text_of(rows, |_| {}));
+    let run = put("run.csv", good());
+    let (other, again) =
+        (put("other.csv", &record(OTHER, 0.9)), put("again.csv", &record(again(23), 0.9)));
+    let (unseen, objected) = ("not used in the fit", "its samples are those of the run");
+    for (command, holdout, stands, stands_not) in [
+        (
+            "diagnose",
+            &other,
+            &["run.csv, last 40 % held out", "not of the same motor"][..],
+            &["held out other.csv", "run 2"][..],
+        ),
+        ("compare", &run, &[objected], &[unseen]),
+        ("compare", &again, &["held out again.csv", unseen], &["About the data"]),
+    ] {
+        let _ = fs::remove_file(desk.path(format!("{command}.html")));
+        let (_, page) = page_of(&desk, command, &run, holdout);
+        has(&page, stands);
+        lacks(&page, stands_not);
+    }
 }
 
 #[test]

