@@ -42,13 +42,25 @@ fn spoilt(text: &'static str) -> impl Strategy<Value = String> {
     })
 }
 
-/// What was refused is refused with words, on the file that was given, and without repeating the whole of it.
-fn told<T, E: std::fmt::Display>(file: &str, read: Result<T, E>) {
-    if let Err(error) = read {
-        let text = error.to_string();
-        assert!(!text.is_empty() && text.len() < 4000, "{file}: {text}");
-    }
+/// Reads a file of this name; why it was refused.
+type Read = fn(&str, &str) -> Result<(), String>;
+
+fn outcome<T, E: std::fmt::Display>(read: Result<T, E>) -> Result<(), String> {
+    read.map(drop).map_err(|error| error.to_string())
 }
+
+/// A file of each kind that users write, and its reader.
+const FILES: [(&str, &str, Read); 7] = [
+    ("bench.toml", BENCH, |name, text| outcome(BenchFile::parse(name, text))),
+    ("emulator.toml", EMULATOR, |name, text| outcome(EmulatorConfig::parse(name, text))),
+    ("own.toml", OWN, |name, text| outcome(DriveProfile::parse(name, text))),
+    ("foreign.toml", FOREIGN, |name, text| outcome(DriveProfile::parse(name, text))),
+    ("model.toml", MODEL, |name, text| outcome(ModelFile::parse(name, text))),
+    ("suite.toml", SUITE, |name, text| outcome(Suite::parse(name, text, |_| options()))),
+    ("samples.csv", SAMPLES, |name, text| {
+        outcome(read_csv(text.as_bytes(), name, ReadOptions::default()))
+    }),
+];
 
 /// Options of commands that the suite gives to its steps.
 fn options() -> Vec<String> {
@@ -78,43 +90,16 @@ fn every_key_of_a_suite_stands_in_its_example() {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
+    /// What was refused is refused with words, and without repeating the whole of it.
     #[test]
-    fn a_spoilt_bench_file_is_read_or_refused(text in spoilt(BENCH)) {
-        told("bench.toml", BenchFile::parse("bench.toml", &text));
-    }
-
-    #[test]
-    fn a_spoilt_emulator_is_read_or_refused(text in spoilt(EMULATOR)) {
-        told("emulator.toml", EmulatorConfig::parse("emulator.toml", &text));
-    }
-
-    #[test]
-    fn a_spoilt_profile_is_read_or_refused(own in spoilt(OWN), foreign in spoilt(FOREIGN)) {
-        told("own.toml", DriveProfile::parse("own.toml", &own));
-        told("foreign.toml", DriveProfile::parse("foreign.toml", &foreign));
-    }
-
-    #[test]
-    fn a_spoilt_model_is_read_or_refused(text in spoilt(MODEL)) {
-        told("model.toml", ModelFile::parse("model.toml", &text));
-    }
-
-    #[test]
-    fn a_spoilt_suite_is_read_or_refused(text in spoilt(SUITE)) {
-        told("suite.toml", Suite::parse("suite.toml", &text, |_| options()));
-    }
-
-    #[test]
-    fn a_spoilt_table_is_read_or_refused(text in spoilt(SAMPLES)) {
-        told("samples.csv", read_csv(text.as_bytes(), "samples.csv", ReadOptions::default()));
-    }
-
-    #[test]
-    fn any_text_is_refused_by_everything(text in "\\PC{0,200}") {
-        told("bench.toml", BenchFile::parse("bench.toml", &text));
-        told("drive.toml", DriveProfile::parse("drive.toml", &text));
-        told("samples.csv", read_csv(text.as_bytes(), "samples.csv", ReadOptions::default()));
+    fn a_spoilt_file_is_read_or_refused(
+        ((name, _, read), text) in prop::sample::select(&FILES[..])
+            .prop_flat_map(|file| (Just(file), prop_oneof![9 => spoilt(file.1), 1 => "\\PC{0,200}"])),
+    ) {
+        if let Err(error) = read(name, &text) {
+            prop_assert!(!error.is_empty() && error.len() < 4000, "{}: {}", name, error);
+        }
     }
 }
