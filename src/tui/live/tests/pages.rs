@@ -54,7 +54,6 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
     let mut lost = running();
     (lost.phase, lost.outcome) = (Some(Phase::LinkLost), Some("link_lost"));
     lost.reopening = Some("link lost, reopening (attempt 3)…".to_owned());
-    let refused = with(&run, |own| assert!(!own.may_suspend()));
     let states = [
         ("starting", Model::new(None)),
         ("running", run.clone()),
@@ -68,17 +67,10 @@ pub(in crate::tui) fn pages() -> Vec<Page> {
         ("tripped", model(tripped())),
         ("trip_over", finished(model(tripped()))),
         ("lost", model(lost)),
-        ("ctrl_z", refused),
         ("frozen", pressed(run.clone(), "f")),
         ("steps", steps.clone()),
         ("steps_explained", pressed(steps, "⏎")),
         ("done", finished(model(done()))),
-        (
-            "done_leads_on",
-            with(&finished(model(done())), |own| {
-                own.followed_by = Some("back to the steps");
-            }),
-        ),
         ("report", offers()),
         ("report_end", with(&offers(), |own| own.scroll = 99)),
         ("help", pressed(run, "?")),
