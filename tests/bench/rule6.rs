@@ -1,29 +1,25 @@
 //! Tests of the diagnosis that a simulation cannot cheat, for runs with voltage, current and speed: doses, placebos,
-//! split halves, the floor a fifth up and down; on simulated messy records, and on records named by `DRIVEBENCH_DATA`.
+//! split halves, the floor a fifth up and down; on simulated messy records.
 //!
 //! ```text
 //! truth + dose --(record.rs)--> messy record --diagnose--> named? right? --add--> size, interval
 //! ../placebo.rs: regressors that mean nothing --add--> must be refused
 //! ```
 //!
-//! None of the real records at hand has a motor's voltage and current beside its speed: the doses are given to runs of
-//! another simulator there. `DRIVEBENCH_EVERYTHING=1 cargo test --release --test bench rule6 -- --nocapture` does every
+//! None of the real records at hand has a motor's voltage and current beside its speed; machines of other simulators are in
+//! `tests/foreign`. `DRIVEBENCH_EVERYTHING=1 cargo test --release --test bench rule6 -- --nocapture` does every
 //! case and prints the tables; else a few cases are done.
 #![expect(
-    clippy::print_stdout,
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "the tables are its product, of counts and shares"
+    reason = "times of a record are converted to its rows"
 )]
 
 mod record;
 
-use std::path::PathBuf;
-
 use drivebench::diagnosis::{Diagnosis, Evidence, add, diagnose};
 use drivebench::emulator::truth::effect::HiddenEffect;
-use drivebench::plant::{Model, Scenario, effect};
-use drivebench::recording::{ReadOptions, open_run};
+use drivebench::plant::{Model, effect};
 use drivebench::report::wording::change::change;
 use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use rayon::prelude::*;
@@ -272,86 +268,4 @@ fn placebos_are_refused() {
         300.0 / judged as f64
     );
     assert!(passed * 100 < judged, "{passed} of {judged}");
-}
-
-/// Known effects given to runs of another simulator that are known to miss nothing. Those that act in the voltage balance
-/// or in a sensor can be put into a finished record exactly.
-#[test]
-#[ignore = "needs DRIVEBENCH_DATA, a folder with hidden-effects"]
-fn doses_in_the_runs_of_another_simulator_are_found() {
-    let data = std::env::var_os("DRIVEBENCH_DATA").expect("DRIVEBENCH_DATA is set");
-    let folder = PathBuf::from(data).join("hidden-effects");
-    let run = |name: &str| -> Scenario {
-        let loaded = open_run(&folder.join(name), ReadOptions::default()).unwrap();
-        Scenario::from_run(&loaded.run).unwrap()
-    };
-    let data = Evidence::new(run("set01_train.csv"), Some(run("set01_holdout.csv")), None);
-    let units = [
-        ("voltage_drop", 0.8),
-        ("current_offset", 0.15),
-        ("speed_offset", 0.8),
-        ("command_delay", 1e-3),
-    ];
-    let few = if everything() { units.len() } else { 2 };
-    let failures: Vec<String> = units[..few]
-        .par_iter()
-        .flat_map_iter(|(id, unit)| {
-            let (natural, _) = size_of(id, &nameplate(), &data);
-            let mut before = f64::NEG_INFINITY;
-            let mut failures = Vec::new();
-            for dose in [0.0, 0.5, 1.0, 2.0] {
-                let mut given = data.clone();
-                for run in [&mut given.training, &mut given.holdout] {
-                    give(run, id, dose * unit);
-                }
-                let (found, std) = size_of(id, &nameplate(), &given);
-                let expected = natural + dose * unit;
-                let named = diagnose(&nameplate(), given).unwrap();
-                println!(
-                    "{id} x {dose}: {found:.4e} +- {std:.1e}, expected {expected:.4e}; {:?} {:?}",
-                    named.verdict, named.effects
-                );
-                // A dose that follows a noisy current is smaller by the noise: 3 %.
-                let is_off = (found - expected).abs() > INTERVAL * std + 0.03 * dose * unit;
-                let is_wrong = named.effects.iter().any(|name| name != id);
-                let is_silent = dose >= 0.5 && !is_named(&named, id);
-                if is_off || found <= before || is_wrong || is_silent {
-                    failures.push(format!("{id} x {dose}: {found}, {}", sentence(&named)));
-                }
-                before = found;
-            }
-            failures
-        })
-        .collect();
-    assert!(failures.is_empty(), "{failures:#?}");
-}
-
-/// The record as if the machine had this effect as well.
-fn give(run: &mut Scenario, id: &str, size: f64) {
-    match id {
-        "current_offset" => run.current_a.iter_mut().for_each(|i| *i += size),
-        "speed_offset" => run.speed_rad_s.iter_mut().for_each(|w| *w += size),
-        // A machine that gets its voltage later would have been sent it earlier. The first command stays: it is where the
-        // clock starts.
-        "command_delay" => {
-            let begin_s = run.begin_s();
-            run.events.iter_mut().skip(1).for_each(|event| event.0 -= size);
-            let mut events = std::mem::take(&mut run.events).into_iter();
-            run.events.extend(events.next());
-            run.events.extend(events.filter(|event| event.0 > begin_s));
-        }
-        "voltage_drop" => {
-            // The machine did without the drop what one with it does at so much more voltage: the sign of the current, as
-            // it is over each row, from the mean of a few.
-            let (times, currents) = (&run.sample_time_s, &run.current_a);
-            for event in run.events.iter_mut().skip(1) {
-                let at = times.partition_point(|time_s| *time_s < event.0);
-                let near = &currents
-                    [at.saturating_sub(1).min(currents.len() - 1)..(at + 3).min(currents.len())];
-                let mean = near.iter().sum::<f64>() / near.len().max(1) as f64;
-                event.1 += size * (mean / 0.05).tanh();
-            }
-        }
-        _ => println!("{id} cannot be put into a record"),
-    }
 }
