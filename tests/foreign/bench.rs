@@ -223,16 +223,4 @@ impl Log {
         }
         text
     }
-
-    /// One signal as a map of this kind reads it: a product of heads and factors.
-    pub(crate) fn signal(&self, map: &str, target: &str) -> Option<Vec<f64>> {
-        let mut parts = map.split(',').filter_map(|part| part.split_once('='));
-        let (_, product) = parts.find(|(name, _)| *name == target)?;
-        let cell = |row: &[f64], word: &str| {
-            let place = self.heads.split(',').position(|head| head == word);
-            place.map_or_else(|| word.parse().unwrap_or(f64::NAN), |place| row[place])
-        };
-        let value = |row: &Vec<f64>| product.split('*').map(|word| cell(row, word)).product();
-        Some(self.rows.iter().map(value).collect())
-    }
 }

@@ -6,20 +6,20 @@ use super::bench::{Chance, Coloured, Dry, Levels, Log, Run, counts, quantised};
 use super::judge::{Case, Truth};
 
 /// A motor that is nothing but the baseline: current by its exact exponential, dry friction by Karnopp (1985).
-pub(crate) struct Plain {
+struct Plain {
     resistance_ohm: f64,
     inductance_h: f64,
     constant_v_s: f64,
     inertia_kg_m2: f64,
     dry_n_m: f64,
-    pub(crate) current_a: f64,
-    pub(crate) speed_rad_s: f64,
+    current_a: f64,
+    speed_rad_s: f64,
     angle_rad: f64,
 }
 
 impl Plain {
     /// At rest.
-    pub(crate) const fn of(parameters: [f64; 5]) -> Self {
+    const fn of(parameters: [f64; 5]) -> Self {
         let [resistance_ohm, inductance_h, constant_v_s, inertia_kg_m2, dry_n_m] = parameters;
         Self {
             resistance_ohm,
@@ -33,7 +33,7 @@ impl Plain {
         }
     }
 
-    pub(crate) fn step(&mut self, voltage_v: f64, step_s: f64) {
+    fn step(&mut self, voltage_v: f64, step_s: f64) {
         let driving_v = voltage_v - self.constant_v_s * self.speed_rad_s;
         let goal_a = driving_v / self.resistance_ohm;
         let fades = (-step_s * self.resistance_ohm / self.inductance_h).exp();
@@ -58,9 +58,8 @@ impl Plain {
 pub(crate) const TOY: Case = Case {
     name: "coarse encoder, nothing else",
     map: "time_s=millis*0.001,voltage_v=volts,current_a=mA*0.001,speed_rad_s=counts_per_s*0.130899694",
-    about: [2.6, 0.0012, 0.01, 9e-6, 1e-3],
-    has_nameplate: false,
-    truth: Truth::Nothing { at_most: 1.5 },
+    nameplate: None,
+    truth: Truth::Nothing,
     record: toy,
 };
 
@@ -109,9 +108,8 @@ fn toy(seed: u64, run: Run) -> Log {
 pub(crate) const SCOOTER: Case = Case {
     name: "sagging battery in the log, coloured noise",
     map: "time_s=t,voltage_v=duty*v_bat,current_a=i_motor,speed_rad_s=rpm*0.104719755",
-    about: [0.25, 4e-4, 0.08, 0.005, 0.25],
-    has_nameplate: false,
-    truth: Truth::Nothing { at_most: 1.2 },
+    nameplate: None,
+    truth: Truth::Nothing,
     record: scooter,
 };
 

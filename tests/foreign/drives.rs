@@ -17,8 +17,7 @@ use super::judge::{Case, Truth};
 pub(crate) const SCRIPT: Case = Case {
     name: "irregular loop with oil drag",
     map: "time_s=unix_s,voltage_v=psu_v,current_a=psu_a,speed_rad_s=tacho",
-    about: [1.8, 0.0015, 0.05, 1e-4, 0.01],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["viscous_friction"]], also: &[] },
     record: script,
 };
@@ -72,8 +71,7 @@ fn script(seed: u64, run: Run) -> Log {
 pub(crate) const FAN: Case = Case {
     name: "fan by torque",
     map: "time_s=Zeit,torque_n_m=Moment,speed_rad_s=Drehzahl*0.104719755",
-    about: [f64::NAN; 5],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["quadratic_load"]], also: &[] },
     record: fan,
 };
@@ -128,8 +126,7 @@ fn fan(seed: u64, run: Run) -> Log {
 pub(crate) const FILTERED: Case = Case {
     name: "speed through a slow filter",
     map: "time_s=t,voltage_v=u,current_a=i,speed_rad_s=w_mon",
-    about: [0.9, 0.004, 0.35, 0.008, 0.3],
-    has_nameplate: true,
+    nameplate: Some([0.9, 0.004, 0.35, 0.008, 0.3]),
     truth: Truth::Effects { missing: &[&["speed_filter", "speed_delay"]], also: &[] },
     record: filtered,
 };

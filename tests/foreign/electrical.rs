@@ -21,8 +21,7 @@ use super::judge::{Case, Truth};
 pub(crate) const SERVO: Case = Case {
     name: "dq servo with dead time",
     map: "time_s=t_ms*0.001,voltage_v=uq_ref,current_a=iq,speed_rad_s=n_act*0.104719755",
-    about: [0.35, 0.004, 0.8, 0.014, 0.7],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["voltage_drop"]], also: &[] },
     record: servo,
 };
@@ -132,8 +131,7 @@ fn servo(seed: u64, run: Run) -> Log {
 pub(crate) const HOT: Case = Case {
     name: "winding that warms up",
     map: "time_s=time,voltage_v=u,current_a=i,speed_rad_s=omega",
-    about: [0.5, 6e-4, 0.03, 3e-4, 0.01],
-    has_nameplate: true,
+    nameplate: Some([0.5, 6e-4, 0.03, 3e-4, 0.01]),
     truth: Truth::Effects { missing: &[&["winding_heating"]], also: &[] },
     record: hot,
 };

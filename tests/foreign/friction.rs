@@ -18,8 +18,7 @@ use super::judge::{Case, Truth};
 pub(crate) const SPINDLE: Case = Case {
     name: "LuGre spindle",
     map: "time_s=t_s,voltage_v=u,current_a=i,speed_rad_s=w",
-    about: [0.8, 0.002, 0.15, 5e-4, 0.07],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["stribeck_friction"]], also: &["viscous_friction"] },
     record: spindle,
 };
@@ -81,8 +80,7 @@ fn spindle(seed: u64, run: Run) -> Log {
 pub(crate) const BALL_SCREW: Case = Case {
     name: "hysteresis in a ball screw",
     map: "time_s=t_ms*0.001,voltage_v=volt,current_a=amp,speed_rad_s=rpm*0.104719755",
-    about: [1.2, 0.006, 0.3, 0.002, 0.5],
-    has_nameplate: true,
+    nameplate: Some([1.2, 0.006, 0.3, 0.002, 0.5]),
     truth: Truth::Unknown { akin: &["elastic_coupling"] },
     record: ball_screw,
 };

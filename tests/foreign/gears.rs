@@ -19,8 +19,7 @@ use super::judge::{Case, Truth};
 pub(crate) const PLANETARY: Case = Case {
     name: "mesh loss of a gear",
     map: "time_s=time,voltage_v=motor_voltage,current_a=motor_current,speed_rad_s=motor_speed",
-    about: [1.1, 0.0015, 0.07, 5.5e-4, 0.05],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["load_dependent_friction"]], also: &[] },
     record: planetary,
 };
@@ -79,8 +78,7 @@ fn planetary(seed: u64, run: Run) -> Log {
 pub(crate) const ARM: Case = Case {
     name: "geared arm by torque",
     map: "time_s=stamp,torque_n_m=tau,angle_rad=q",
-    about: [f64::NAN; 5],
-    has_nameplate: false,
+    nameplate: None,
     truth: Truth::Effects { missing: &[&["eccentric_load"]], also: &["viscous_friction"] },
     record: arm,
 };
@@ -143,8 +141,7 @@ fn arm(seed: u64, run: Run) -> Log {
 pub(crate) const WINDER: Case = Case {
     name: "two masses of a winder",
     map: "time_s=t,voltage_v=u_a,current_a=i_a,speed_rad_s=n_rpm*0.104719755",
-    about: [0.6, 0.003, 0.4, 0.006, 0.4],
-    has_nameplate: true,
+    nameplate: Some([0.6, 0.003, 0.4, 0.006, 0.4]),
     truth: Truth::Effects { missing: &[&["elastic_coupling"]], also: &[] },
     record: winder,
 };

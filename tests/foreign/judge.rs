@@ -26,24 +26,24 @@ pub(crate) struct Case {
     pub(crate) name: &'static str,
     /// What `--map` is given.
     pub(crate) map: &'static str,
-    /// About what it is, as a plate would have it: R, L, K, J, Mc; nothing where no voltage is logged.
-    pub(crate) about: [f64; 5],
-    /// Whether its owner has a plate, and gives a model file of it.
-    pub(crate) has_nameplate: bool,
+    /// R, L, K, J, Mc of the nameplate that its owner gives as a model file.
+    pub(crate) nameplate: Option<[f64; 5]>,
     pub(crate) truth: Truth,
     pub(crate) record: fn(u64, Run) -> Log,
 }
 
 /// What the baseline misses of a machine, in the words of the catalogue.
 pub(crate) enum Truth {
-    Nothing {
-        /// The error of the baseline, in units of the noise at rest, that sensors make in motion.
-        at_most: f64,
-    },
+    Nothing,
     /// Any name of each group is right; what is there besides may be named, or not.
-    Effects { missing: &'static [&'static [&'static str]], also: &'static [&'static str] },
+    Effects {
+        missing: &'static [&'static [&'static str]],
+        also: &'static [&'static str],
+    },
     /// Something that the catalogue does not have; names that are no lie all the same.
-    Unknown { akin: &'static [&'static str] },
+    Unknown {
+        akin: &'static [&'static str],
+    },
 }
 
 impl Truth {
@@ -56,7 +56,7 @@ impl Truth {
 
     fn is_true(&self, name: &str) -> bool {
         let also = match self {
-            Self::Nothing { .. } => &[][..],
+            Self::Nothing => &[][..],
             Self::Effects { also, .. } => also,
             Self::Unknown { akin } => akin,
         };
@@ -65,7 +65,7 @@ impl Truth {
 
     fn in_words(&self) -> String {
         match self {
-            Self::Nothing { .. } => "nothing".to_owned(),
+            Self::Nothing => "nothing".to_owned(),
             Self::Effects { missing, .. } => {
                 missing.iter().map(|group| group.join("/")).collect::<Vec<_>>().join("+")
             }
@@ -187,8 +187,8 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
                 let is_right = is_named && !groups.is_empty();
                 (right_if(is_right), sentence.to_owned())
             }
-            ("none", Truth::Nothing { .. }) => (Judgement::Right, String::new()),
-            // What is missing shows in every record (`visible`); that nobody knows the noise may be said all the same.
+            ("none", Truth::Nothing) => (Judgement::Right, String::new()),
+            // What is missing shows in every record; that nobody knows the noise may be said all the same.
             ("none", _) if said.answer["sufficient"] == true => {
                 (Judgement::Wrong, sentence.to_owned())
             }
@@ -233,8 +233,7 @@ pub(crate) fn trial(case: &Case, seed: u64, folder: &Path) -> Outcome {
         "--json",
     ]);
     command.args(["--map", case.map]);
-    if case.has_nameplate {
-        let [r, l, k, j, dry] = case.about;
+    if let Some([r, l, k, j, dry]) = case.nameplate {
         let model = format!(
             "[motor]\nname = \"plate\"\nresistance_ohm = {r}\ninductance_h = {l}\nback_emf_v_s_per_rad = {k}\n\
              inertia_kg_m2 = {j}\nload_torque_n_m = {dry}\n"
@@ -336,7 +335,7 @@ mod tests {
         missing: &[&["viscous_friction", "quadratic_load"]],
         also: &["stribeck_friction"],
     };
-    const NOTHING: Truth = Truth::Nothing { at_most: 1.2 };
+    const NOTHING: Truth = Truth::Nothing;
     const OTHER: Truth = Truth::Unknown { akin: &[] };
 
     /// An answer with these effects, each with its probability, that rules out what is `denied`.
