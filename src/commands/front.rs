@@ -244,13 +244,4 @@ mod tests {
         found.models.push(("m.toml".to_owned(), vec!["cogging".to_owned()]));
         assert_eq!(first(&found), "drivebench tune --model m.toml");
     }
-
-    #[test]
-    fn the_page_fits_a_terminal() {
-        let folder = tempfile::tempdir().unwrap();
-        let page = page(folder.path());
-        assert!(page.contains("no bench file, model or run yet"), "{page}");
-        assert!(page.lines().count() <= 24, "{page}");
-        assert!(page.lines().all(|line| line.chars().count() <= 84), "{page}");
-    }
 }

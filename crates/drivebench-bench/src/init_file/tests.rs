@@ -264,11 +264,3 @@ fn the_silence_is_compared_with_the_profiles_watchdog() {
     assert_eq!(silence.value, Some(0.72));
     has(&silence.reason, "0.8 s (set by the profile");
 }
-
-#[test]
-fn a_nameplate_in_rpm_is_remarked_first() {
-    let motor = MotorSection { rated_speed_rad_s: 2800.0, ..nameplate() };
-    let file = made("own", &motor, readback()).unwrap();
-    has(&file.remarks[0], "given in r/min");
-    has(&file.text, "contradicts itself");
-}

@@ -158,24 +158,3 @@ fn nothing_is_named_with_a_size_that_no_machine_has() {
     let answer = answer(case);
     assert_ne!(answer.outcome, Outcome::Wrong, "{}", answer.sentence);
 }
-
-/// A machine as machines are: a small effect among four others, a load that wanders, sensors three times as noisy.
-#[test]
-#[cfg_attr(
-    debug_assertions,
-    ignore = "diagnoses of two runs at 1 kHz take a minute without optimisation"
-)]
-fn a_small_effect_is_named_beside_four_others() {
-    let size = Size { seed: 3, ..WHOLE };
-    let wanted = ["eccentric_load", "stribeck_friction"];
-    let cases = cases::all(size);
-    let harsh = |case: &&Case| case.group == Group::Harsh && case.excitation == Excitation::Rich;
-    let harsh = cases.iter().filter(harsh);
-    let harsh: Vec<&Case> = harsh.filter(|case| wanted.contains(&case.hidden[0])).collect();
-    assert_eq!(harsh.len(), wanted.len());
-    for case in harsh {
-        let answer = answer(case);
-        let known = [Outcome::Right, Outcome::Twin].contains(&answer.outcome);
-        assert!(known, "{}", answer.sentence);
-    }
-}
