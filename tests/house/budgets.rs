@@ -1,39 +1,39 @@
-//! Lines of Rust that each crate and room may hold, tests and comments included: 2 % above what stood there when the table was
-//! written. Who needs more deletes elsewhere, or raises a budget in a commit of its own that says why.
+//! Lines of Rust that each crate and room may hold, tests and comments included: at most 2 % above what stood there when its
+//! line was written. Who needs more deletes elsewhere, or raises a budget in a commit of its own that says why.
 
 use crate::architecture::{root, rust_files};
 use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 28_640),
+    ("crates/drivebench-bench", 28_630),
     ("crates/drivebench-control", 6_310),
     ("crates/drivebench-diagnose", 22_760),
     ("crates/drivebench-emulator", 12_130),
     ("crates/drivebench-identify", 23_680),
     ("crates/drivebench-link", 18_000),
     ("crates/drivebench-model", 17_340),
-    ("crates/drivebench-studies", 10_200),
+    ("crates/drivebench-studies", 10_120),
     ("firmware-protocol", 4_740),
-    ("src/commands", 14_300),
+    ("src/commands", 14_290),
     ("src/report", 9_040),
     ("src/runtime", 3_030),
     ("src/tui", 7_800),
     ("src/workflow", 4_890),
-    ("tests/bench", 2_430),
-    ("tests/cli", 5_010),
-    ("tests/foreign", 1_810),
-    ("tests/house", 1_180),
+    ("tests/bench", 2_270),
+    ("tests/cli", 4_890),
+    ("tests/foreign", 1_500),
+    ("tests/house", 1_070),
     ("tests/kit", 1_150),
-    ("tests/live", 3_430),
-    ("tests/witness", 1_460),
+    ("tests/live", 3_190),
+    ("tests/witness", 1_430),
 ];
 
 /// Every folder that holds Rust must have a budget: a new crate or room is a decision too.
 const FOLDERS_OF_ROOMS: &[&str] = &["crates", "src", "tests"];
 
-/// Named numeric constants of the whole repository, 2 % above what stood there: a threshold more replaces a model.
-const MOST_NUMERIC_CONSTANTS: usize = 712;
+/// Named numeric constants of the whole repository, no more than stood there: a threshold more replaces a model.
+const MOST_NUMERIC_CONSTANTS: usize = 704;
 
 const NUMERIC: &[&str] =
     &["f64", "f32", "usize", "u64", "u32", "u16", "u8", "i64", "i32", "Duration"];
