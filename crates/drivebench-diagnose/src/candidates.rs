@@ -168,11 +168,8 @@ pub(super) fn candidates(
             Status::Supported | Status::Possible => false,
         };
         let searched = searched(inferred.effect, &evidence.training);
-        // Of a coupling the shapes between those that were tried have no bound.
-        let is_shape_open = status == Status::RuledOut
-            && !is_explained
-            && inferred.upper_bound.is_none()
-            && !searched.is_empty();
+        // The error that is left may be that of a shape which was not tried.
+        let is_shape_open = status == Status::RuledOut && !is_explained && !searched.is_empty();
         let open = (why_open.filter(|_| is_open))
             .or_else(|| is_shape_open.then_some(WhyOpen::OtherShapes));
         // A vetoed effect is not supported, whatever its probability.

@@ -86,7 +86,7 @@ findings! {
         FarFromNoise = "several_times_the_noise_left",
         /// A torque over the past of the speed, of no known form: it explains what a lag or a filter would.
         DependsOnPast = "depends_on_the_past",
-        /// An error is left, and of a coupling only some shapes were tried.
+        /// An error is left, and only some of its shapes were tried.
         OtherShapes = "other_shapes_not_tried",
     }
 }

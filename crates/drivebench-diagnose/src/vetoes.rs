@@ -143,7 +143,8 @@ fn unresolved(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Opti
     named.iter().rev().find_map(|id| of(id))
 }
 
-/// The last named effect with a parameter of its shape at a bound of its range, where the error stays above the floor.
+/// The last named effect with a parameter of its shape at a bound of its range, where the error stays above the floor; an event at the
+/// begin of the run in any case.
 fn at_bound(
     bench: &Bench,
     inference: &Inference,
@@ -151,11 +152,12 @@ fn at_bound(
     rungs: &[Standing],
 ) -> Option<Veto> {
     let last = rungs.last()?;
-    if inference.floor(&bench.evidence).is_reached(last.score.nrms) {
-        return None;
-    }
+    let is_reached = inference.floor(&bench.evidence).is_reached(last.score.nrms);
     named.iter().rev().find_map(|id| {
         let active = last.fit.model.effects.iter().find(|active| active.id() == *id)?;
+        if is_reached && !happens_once(id) {
+            return None;
+        }
         let is_shared = inference.confusable.iter().any(|pair| pair[0] == *id);
         let reason = bound_reached(active, &bench.evidence.training, is_shared)?;
         Some(Veto { effect: id, reason })
@@ -173,13 +175,20 @@ fn bound_reached(active: &ActiveEffect, run: &Scenario, is_shared: bool) -> Opti
         let least = limit.map(|own| own.least_in(active.effect, run));
         let most = spec.most_of_length.is_finite().then(|| spec.in_run(&run.scales).max);
         let below = least.filter(|least| value < 1.02 * least);
-        // Before it nothing was measured: what has begun by then was always there.
-        let begin_s = 0.02 * run.scales.length_s;
+        // Before the shaft turns nothing was measured: what has begun by then was always there, or holds the shaft at rest.
+        let begin_s = first_motion_s(run) + 0.02 * run.scales.length_s;
         let at_begin = spec.role == ParameterRole::EventTime && value < begin_s;
         let below = below.or(at_begin.then_some(begin_s));
         let bound = below.or(most.filter(|most| 1.02 * value > *most))?;
         Some(VetoReason::ShapeAtBound { key: spec.key, bound })
     })
+}
+
+/// The first sample with a fiftieth of the largest speed, s after the first command.
+fn first_motion_s(run: &Scenario) -> f64 {
+    let moves = |speed_rad_s: &f64| speed_rad_s.abs() > 0.02 * run.scales.speed_rad_s;
+    let first = run.speed_rad_s.iter().position(moves).unwrap_or(0);
+    (run.sample_time_s[first] - run.begin_s()).max(0.0)
 }
 
 /// The last named effect whose size is not significant in the fit with all of them: to two standard deviations of an event, since it

@@ -2,6 +2,7 @@
 
 use super::effect::{Effect, Instant, ShaftAngle};
 use super::model::Model;
+use super::motor::MotorKey;
 use super::scenario::{Input, Scenario};
 use crate::numerics::statistics::largest;
 
@@ -28,8 +29,11 @@ pub fn typical_size(
     // 500 samples are enough.
     let stride = times.len().div_ceil(500);
     let largest_input = largest(scenario.events.iter().map(|event| event.1));
-    let largest_current =
-        largest(scenario.current_a.iter().filter(|current_a| current_a.is_finite()));
+    let measured_a = largest(scenario.current_a.iter().filter(|current_a| current_a.is_finite()));
+    // Without a current its scale is that of the model's resistance: the stall current.
+    let resistance = model.motor.get(MotorKey::Resistance).filter(|_| measured_a <= 0.0);
+    let largest_current = resistance.map_or(measured_a, |own| largest_input / own);
+    let back_emf = model.motor.get(MotorKey::BackEmf).unwrap_or(0.0);
     let largest_torque = match scenario.input {
         Input::Torque => largest_input,
         Input::Voltage | Input::Current => {
@@ -45,11 +49,15 @@ pub fn typical_size(
     let mut reached = 0.0_f64;
     for sample in (0..times.len()).step_by(stride) {
         let input = scenario.input_at(times[sample]);
-        let measured_a = || scenario.current_a[sample];
+        let speed_rad_s = scenario.speed_rad_s[sample];
         let at = Instant {
             time_s: times[sample] - scenario.begin_s(),
-            current_a: if by_torque { input } else { measured_a() },
-            speed_rad_s: scenario.speed_rad_s[sample],
+            current_a: match resistance {
+                _ if by_torque => input,
+                Some(resistance) => (input - back_emf * speed_rad_s) / resistance,
+                None => scenario.current_a[sample],
+            },
+            speed_rad_s,
             voltage_v: input,
             // Angles that are spread over the turn.
             angle: ShaftAngle::at(sample as f64),
@@ -102,6 +110,11 @@ mod tests {
         assert!((size - 0.03 * 0.3538 * 8.0 / 250.0).abs() < 1e-12);
         let small = typical_size(drag, 0, &model, &scenario(0.008, 2500.0));
         assert!((size / small - 1e4).abs() < 1e-6);
+        // Without a current that of the stall at the resistance of the model counts.
+        let mut unmeasured = scenario(8.0, 250.0);
+        unmeasured.current_a.fill(f64::NAN);
+        let of_stall = typical_size(drag, 0, &model, &unmeasured);
+        assert!((of_stall - 0.03 * 0.3538 * (10.0 / 1.1) / 250.0).abs() < 1e-9, "{of_stall}");
         // Drag is not observable on a shaft at rest.
         let still = typical_size(drag, 0, &model, &scenario(8.0, 0.0));
         assert!((still - drag.parameters()[0].scale).abs() < 1e-18);
