@@ -10,6 +10,7 @@ use super::joint::answer::{Inference, Unknown, eligible};
 use super::joint::expected_information::InformationBasis;
 use super::joint::free_run::likelier;
 use super::ladder::{Bench, Rung, Standing, climb};
+use super::lags::share_among_lags;
 use super::limits::Limit;
 use super::location::{
     AxisMap, EffectCurve, FailureLocation, axis_map, effect_curve, error_curve, with_candidate,
@@ -414,7 +415,9 @@ impl Conclusion {
             rungs = climbed(&mut inference, known)?;
         }
         if let Some(last) = rungs.pop() {
-            rungs.push(last.with_deviations(&bench, &inference));
+            let mut last = last.with_deviations(&bench, &inference);
+            share_among_lags(&bench, &mut inference, &mut last);
+            rungs.push(last);
         }
         Ok(Self { bench, inference, rungs })
     }

@@ -342,7 +342,7 @@ pub fn fitted_baseline(model: &Model, evidence: Evidence) -> Result<(Evidence, M
 }
 
 /// Iterations of `most` that a fit of a free run may take, with derivatives by differences.
-fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
+pub(super) fn affordable(model: &Model, run: &Scenario, most: usize) -> usize {
     let Ok(mut plant) = Plant::new(model, run.input) else {
         return most;
     };

@@ -26,6 +26,7 @@ mod fingerprint;
 mod floor;
 mod joint;
 mod ladder;
+mod lags;
 mod limits;
 mod location;
 mod mechanical;

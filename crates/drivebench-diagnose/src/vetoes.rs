@@ -15,7 +15,8 @@ use super::score::Score;
 use super::versus::{Better, ByBlocks};
 use drivebench_identify::noise::FloorSource;
 use drivebench_model::findings;
-use drivebench_model::plant::{ActiveEffect, MotorKey, ParameterRole, Scenario, effect};
+use drivebench_model::plant::effect::Path;
+use drivebench_model::plant::{ActiveEffect, Model, MotorKey, ParameterRole, Scenario, effect};
 
 /// Largest fall of a deviance by chance, with a free size at a free time.
 const BY_CHANCE_DEVIANCE: f64 = 10.0;
@@ -96,7 +97,7 @@ pub(super) fn first(
         .or_else(|| unresolved(bench, named, rungs))
         .or_else(|| at_bound(bench, inference, named, rungs))
         .or_else(|| without_size(named, rungs))
-        .or_else(|| short_lag(bench, named, rungs))
+        .or_else(|| short_lag(bench, inference, named, rungs))
         .or_else(|| without_inertia(bench, named, rungs))
         .or_else(|| by_chance(bench, inference, named, rungs))
         .or_else(|| without_use(bench, inference, named, rungs))
@@ -212,16 +213,55 @@ fn without_size(named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
     Some(Veto { effect, reason: VetoReason::SizeMayBeZero })
 }
 
-/// The last named lag that is too short for its kind to be known; a filter of the current that clearly lowers the error is none.
-fn short_lag(bench: &Bench, named: &[&'static str], rungs: &[Standing]) -> Option<Veto> {
-    let fit = &rungs.last()?.fit;
+/// The last named lag that is too short for its kind to be known; a filter of the current that clearly lowers the error is none, and no
+/// delay of the command that both readings show.
+fn short_lag(
+    bench: &Bench,
+    inference: &Inference,
+    named: &[&'static str],
+    rungs: &[Standing],
+) -> Option<Veto> {
+    let Standing { fit, score, .. } = rungs.last()?;
+    let is_reached = inference.floor(&bench.evidence).is_reached(score.nrms);
     rungs.windows(2).zip(named).rev().find_map(|(pair, id)| {
         let active = fit.model.effects.iter().find(|active| active.id() == *id)?;
-        let reason = within_a_period(active, &bench.evidence.training)?;
-        let is_clear = pair[0].score.nrms >= CLEAR_FALL_RATIOS[0] * pair[1].score.nrms;
         let path = active.effect.terms(&active.values_or_guess()).path();
-        (path.current_filter_s == 0.0 || !is_clear).then_some(Veto { effect: id, reason })
+        let is_clear = pair[0].score.nrms >= CLEAR_FALL_RATIOS[0] * pair[1].score.nrms;
+        let of_period = within_a_period(active, &bench.evidence.training)
+            .filter(|_| path.current_filter_s == 0.0 || !is_clear);
+        let within_a_filter = || within_a_filter(path, &fit.model, pair, is_reached);
+        let reason = of_period.or_else(within_a_filter)?;
+        Some(Veto { effect: id, reason })
     })
+}
+
+/// Share of the time constant of a reading's filter up to which a delay may be what its form differs by from the first order. To second
+/// order a mean over a window is a filter of 0.29 and a delay of 0.21 of it, and two equal filters in a row are one of 1.41 and a
+/// delay of 0.59 of either.
+const FORM_OF_FILTER: f64 = 0.75;
+
+/// A delay of the command with a named filter of one reading that may be of the form of this filter, unless it clearly lowers the error
+/// of the other reading, which the filter does not touch, and nothing is left of another form.
+fn within_a_filter(
+    own: Path,
+    model: &Model,
+    pair: &[Standing],
+    is_reached: bool,
+) -> Option<VetoReason> {
+    let paths =
+        model.effects.iter().map(|other| other.effect.terms(&other.values_or_guess()).path());
+    let filters = paths.map(|path| [path.current_filter_s, path.speed_filter_s]);
+    let [of_current_s, of_speed_s] =
+        filters.fold([0.0_f64; 2], |all, own| [all[0].max(own[0]), all[1].max(own[1])]);
+    let rmse = |rung: &Standing| {
+        [rung.score.current, rung.score.speed].map(|own| own.map_or(f64::NAN, |own| own.rmse))
+    };
+    let [before, after] = [&pair[0], &pair[1]].map(rmse);
+    let falls = |reading: usize| before[reading] >= CLEAR_FALL_RATIOS[0] * after[reading];
+    let is_shown = is_reached && (of_speed_s == 0.0 && falls(1) || of_current_s == 0.0 && falls(0));
+    let known_s = FORM_OF_FILTER * of_current_s.max(of_speed_s);
+    let is_within = own.command_delay_s > 0.0 && own.command_delay_s <= known_s;
+    (is_within && !is_shown).then_some(VetoReason::ShortLag { known_s })
 }
 
 /// A lag of a reading below a seventh of the lag that it is known to have, to which its time and its kind are known, or of the period
