@@ -116,7 +116,7 @@ fn as_good(bench: &Bench, model: &Model, averages: bool, own: Errors) -> Option<
     let most_iterations = affordable(model, &run, options.most_iterations);
     let options = Options { most_iterations, ..options };
     let fit: Result<_, FitError> =
-        output_error::fit_with(&[model.clone()], &run, &bench.evidence.noise, options);
+        output_error::fit_with(std::slice::from_ref(model), &run, &bench.evidence.noise, options);
     let fit: Fitted = fit.ok()?.into();
     let other = Errors::of(bench, &fit.model, averages)?;
     // Where an error is left its samples are no independent ones.

@@ -6,6 +6,7 @@ use serde::{Serialize, Serializer, ser::SerializeMap};
 use drivebench_identify::balance::TorqueRows;
 use drivebench_identify::noise::NoiseFloor;
 use drivebench_identify::output_error::{self, Fit, FitError};
+use drivebench_identify::verdict::SETTLED_BELOW_RATIO;
 use drivebench_model::plant::effect::Axis;
 use drivebench_model::plant::{Input, Model, ParameterSpec, Scenario, State, effect};
 use drivebench_model::sample::{ParameterEstimate, Reason};
@@ -148,11 +149,6 @@ pub struct Fitted {
     /// State at the begin of the training run.
     pub start: State,
 }
-
-/// Error of a model in units of the noise from which none of its values is settled: missing effects bias them, and deviations
-/// from noise, or from the errors of neighbouring samples, do not bound that bias. A servo whose current is filtered, which was
-/// not named, left 2.0 and gave R 11 % and ten of its deviations from the truth; one with a drop of another form left 1.4, and R 9 %.
-const SETTLED_BELOW_RATIO: f64 = 1.25;
 
 impl Fitted {
     /// The same with its values unsettled where its error `nrms` is several times the noise `floor`, which is zero where none is

@@ -18,7 +18,7 @@ use serde::Serialize;
 
 use super::noise::{FloorSource, roughness};
 use super::output_error::{Fit, FitError, FreeRun};
-use super::verdict::settled_below;
+use super::verdict::{SETTLED_BELOW_RATIO, settled_below};
 use super::weak_form::Balanced;
 use drivebench_model::numerics::least_squares::inverse_where_determined;
 use drivebench_model::numerics::statistics::{BAND_99, largest};
@@ -131,7 +131,8 @@ impl Misfit {
         }
         let (bread, _) = inverse_where_determined(&minimum.jacobian);
         let mut variances = (&bread * meat * &bread).diagonal();
-        if !is_noise && let Some(change) = change_by_a_form(fit, scenario, &bread) {
+        // Of a long record a form shows long before the residual exceeds the noise by more than the noise is known.
+        if let Some(change) = change_by_a_form(fit, scenario, &bread) {
             variances += change.component_mul(&change);
         }
         let free = fit.free.iter().zip(problem.slopes(&minimum.x)).zip(variances.iter());
@@ -158,6 +159,17 @@ impl Misfit {
             })
         };
         Self(balances.iter().filter_map(left).collect())
+    }
+
+    /// Unsettles all values where a residual is several times the noise.
+    pub(super) fn unsettle(&self, parameters: &mut [ParameterEstimate]) {
+        let most = self.0.iter().filter(|left| !left.is_noise).filter_map(|left| left.times_noise);
+        let is_missed = most.fold(0.0, f64::max) > SETTLED_BELOW_RATIO;
+        if let Some(residual) = self.worst_text().filter(|_| is_missed) {
+            for parameter in parameters {
+                parameter.unsettle(Reason::ModelMisses, format!("the residual is {residual}"));
+            }
+        }
     }
 
     /// Sets each standard deviation to the larger one of `deviations`, with a reason where the value is no longer settled, or is

@@ -6,7 +6,7 @@ use super::plan::{COUNT, Planned, planned};
 use super::{ExperimentLimits, Hidden, HiddenReason, MenuEntry, NextExperiment, Recommendation};
 use crate::joint::answer::eligible;
 use crate::joint::expected_information::{DETECTS, ExpectedInformation};
-use crate::{Diagnosis, DiagnosisVerdict, Evidence, Status};
+use crate::{Candidate, Diagnosis, DiagnosisVerdict, Evidence, Status};
 use drivebench_model::plant::{ActiveEffect, Effect, Model, Scenario, effect, typical_size};
 
 /// Precision from which on an effect is expected to show: twice that of detection, since no repetition of a run in hand
@@ -155,7 +155,9 @@ pub(super) fn reveal(
     if has_of_one_run {
         return None;
     }
-    let undetected = diagnosis.candidates.iter().filter(|one| one.status == Status::NotExcited);
+    // Of what is left open these runs showed something, and each form of a coupling costs a simulation of every run and plan.
+    let is_undetected = |one: &&Candidate| one.status == Status::NotExcited && !one.is_open;
+    let undetected = diagnosis.candidates.iter().filter(is_undetected);
     let undetected: Vec<&'static str> = undetected.map(|one| one.effect).collect();
     if undetected.is_empty() {
         return None;

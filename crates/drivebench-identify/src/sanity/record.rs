@@ -217,13 +217,13 @@ fn unsigned(watched: &Watched<'_>) -> Option<Finding> {
     }
     // Where the voltage is clearly of one direction.
     let clear_v = Settings::FAR * voltage.largest();
+    let direction = |u: f64| i8::from(u > clear_v) - i8::from(u < -clear_v);
     let rows = table.voltage_v.iter().zip(watched.values).filter(|(_, x)| x.is_finite());
-    let direction = |u: f64| f64::from(u8::from(u > clear_v)) - f64::from(u8::from(u < -clear_v));
-    let rows: Vec<(f64, f64)> = rows.map(|(u, x)| (direction(*u), *x)).collect();
-    let under = |wanted: f64| -> Vec<f64> {
+    let rows: Vec<(i8, f64)> = rows.map(|(u, x)| (direction(*u), *x)).collect();
+    let under = |wanted: i8| -> Vec<f64> {
         rows.iter().filter(|row| row.0 == wanted).map(|row| row.1).collect()
     };
-    let [ahead, astern] = [1.0, -1.0].map(under);
+    let [ahead, astern] = [1, -1].map(under);
     // A heavy shaft need not follow a short reversal; one that did came through zero.
     let astern_least = astern.iter().fold(f64::INFINITY, |least, x| least.min(x.abs()));
     if astern_least > Settings::CHANGES * activity.largest()
@@ -233,17 +233,16 @@ fn unsigned(watched: &Watched<'_>) -> Option<Finding> {
     }
     // A shaft that slows down and then sticks has turned forward only: its speed has to rise again after its least.
     let is_speed = *key == Channel::Speed.key();
-    let risen = rows.chunk_by(|a, b| a.0 == b.0).filter(|part| part[0].0 < 0.0).flat_map(|part| {
+    let risen = rows.chunk_by(|a, b| a.0 == b.0).filter(|part| part[0].0 < 0).flat_map(|part| {
         let smaller = |a: &usize, b: &usize| part[*a].1.abs().total_cmp(&part[*b].1.abs());
         let least = (0..part.len()).min_by(smaller).filter(|_| is_speed).unwrap_or(0);
         part[least..].iter().map(|row| row.1)
     });
-    let squares = |values: &mut dyn Iterator<Item = f64>| values.map(|x| x * x).sum::<f64>();
-    let forward = squares(&mut ahead.iter().copied()) / ahead.len() as f64;
-    let (backward, astern) = (squares(&mut risen.into_iter()) / astern.len() as f64, astern.len());
+    let forward = ahead.iter().map(|x| x * x).sum::<f64>() / ahead.len() as f64;
+    let backward = risen.map(|x| x * x).sum::<f64>() / astern.len() as f64;
     (backward > Settings::CLEAR * forward).then(|| {
         let (values, voltage) = (activity.extent(), table.voltage_key);
-        let fault = SignalFault::SignLost { key, values, voltage, rows: astern };
+        let fault = SignalFault::SignLost { key, values, voltage, rows: astern.len() };
         Finding::refusal(Kind::Unsigned, Fault::Signal(fault))
     })
 }

@@ -37,6 +37,7 @@ fn free_run(id: &'static str, data: &Data<'_>) -> Result<Identified, IdentifyErr
         }
     }
     plateaus::complete(&mut parameters, data.scenario);
+    misfit.unsettle(&mut parameters);
     cause::explain(&mut parameters, &fit, &misfit, data.model, data.scenario);
     let has_current = data.scenario.current_a.iter().any(|cell| cell.is_finite());
     if !has_current {
