@@ -15,6 +15,7 @@ pub(super) const EFFECT: Card = Card {
         changes",
     excite: "the same speeds in both directions",
     remedy: "balance the load, or compensate by a constant feed-forward",
+    stands_for: &[["current_offset", "voltage_offset"]],
     curve: Some((Balance::Torque, Axis::Speed)),
     biases: &[BiasedFit::TorqueBalance],
     equivalences: &[

@@ -16,6 +16,7 @@ pub(super) const EFFECT: Card = Card {
     excite: "some tenths of a second at rest at zero volts with the bridge on, then both \
         directions at low speed",
     remedy: "trim the zero of the input or of the modulator; add -u0 to the command",
+    stands_for: &[["constant_load", "current_offset"]],
     biases: &[BiasedFit::FreeRun],
     parameters: &[ParameterSpec::coefficient("offset_v", "V", 0.5)],
     formula: &[(Place::Voltage, "-offset_v")],
