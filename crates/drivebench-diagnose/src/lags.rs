@@ -14,9 +14,6 @@ use super::joint::answer::Inference;
 use super::ladder::{Bench, Standing, affordable};
 use super::score::{Fitted, Score};
 
-/// Difference of deviances up to which a lag is as good as another: 3 nats, as between effects of the linear solution.
-const ALIKE_DEVIANCE: f64 = 6.0;
-
 /// Shares the probability of each named lag with those that serve as well in its place, and widens the deviations of `last`, the model
 /// with all named effects, by the differences of the values.
 pub(super) fn share_among_lags(bench: &Bench, inference: &mut Inference, last: &mut Standing) {
@@ -121,7 +118,8 @@ fn as_good(bench: &Bench, model: &Model, averages: bool, own: Errors) -> Option<
     let other = Errors::of(bench, &fit.model, averages)?;
     // Where an error is left its samples are no independent ones.
     let excess = (own.deviance / own.samples.max(1.0)).max(1.0);
-    (other.deviance - own.deviance < ALIKE_DEVIANCE * excess).then_some(fit)
+    // Three nats, as between effects of the linear solution.
+    (other.deviance - own.deviance < 6.0 * excess).then_some(fit)
 }
 
 /// Adds the differences of the values to the deviations.

@@ -21,8 +21,6 @@ const SPIKE_SLABS: f64 = 0.004;
 const MOST_EXPANDED: usize = 60;
 const WINDOW_NATS: f64 = 6.0;
 const PLAUSIBLE_NATS: f64 = 7.0;
-/// Sets this far behind the best are not kept: 10^5 of them have a share of 10^-6.
-const NEGLIGIBLE_NATS: f64 = 25.0;
 
 /// For each candidate, the variant that is in.
 pub(super) type Set = Vec<Option<usize>>;
@@ -415,7 +413,8 @@ impl Explored<'_> {
             }
             for (v, gain) in reduced.log_odds_given(given.as_ref(), k).into_iter().enumerate() {
                 let log = log + gain;
-                if log > self.top - NEGLIGIBLE_NATS {
+                // Of those 25 nats behind the best 10^5 have a share of 10^-6.
+                if log > self.top - 25.0 {
                     let mut with = from.clone();
                     with[k] = Some(v);
                     self.weighed.entry(with).or_insert(log);
