@@ -6,7 +6,7 @@
 //! ../placebo.rs: regressors that mean nothing --add--> must be refused
 //! ```
 //!
-//! None of the real records at hand has a motor's voltage and current beside its speed; machines of other simulators are in
+//! None of the real records at hand has voltage, current and speed of a motor; machines of other simulators are in
 //! `tests/foreign`. `DRIVEBENCH_EVERYTHING=1 cargo test --release --test bench rule6 -- --nocapture` does every
 //! case and prints the tables; else a few cases are done.
 #![expect(

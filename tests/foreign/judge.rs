@@ -188,7 +188,7 @@ fn judged(truth: &Truth, said: &Said<'_>) -> Judged {
                 (right_if(is_right), sentence.to_owned())
             }
             ("none", Truth::Nothing) => (Judgement::Right, String::new()),
-            // What is missing shows in every record; that nobody knows the noise may be said all the same.
+            // What is missing is observable in every record, also where the noise is not known.
             ("none", _) if said.answer["sufficient"] == true => {
                 (Judgement::Wrong, sentence.to_owned())
             }

@@ -8,7 +8,7 @@ use std::fs;
 const BUDGETS: &[(&str, usize)] = &[
     ("crates/drivebench-bench", 28_630),
     ("crates/drivebench-control", 6_310),
-    ("crates/drivebench-diagnose", 23_020),
+    ("crates/drivebench-diagnose", 23_030),
     ("crates/drivebench-emulator", 12_130),
     ("crates/drivebench-identify", 23_710),
     ("crates/drivebench-link", 18_000),

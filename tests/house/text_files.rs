@@ -92,7 +92,7 @@ fn every_key_of_a_suite_stands_in_its_example() {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// What was refused is refused with words, and without repeating the whole of it.
+    /// A refusal has a message, which does not repeat the whole file.
     #[test]
     fn a_spoilt_file_is_read_or_refused(
         ((name, _, read), text) in prop::sample::select(&FILES[..])

@@ -44,7 +44,7 @@ const DRIVES: [(&str, &str, bool); 5] = [
     (FILE, "profile=roboteq-dc", false),
 ];
 
-/// Beside each other, for they wait most of the time.
+/// In parallel, since they wait most of the time.
 #[test]
 fn drives_of_other_makes_run_in_real_time() {
     at_once(DRIVES, |(name, ready, is_followed)| {

@@ -211,7 +211,7 @@ fn a_run_that_nobody_reads_any_more_ends_its_motor_all_the_same() {
     lab.expect_stopped("closed pipes");
 }
 
-/// Beside each other, for they wait most of the time.
+/// In parallel, since they wait most of the time.
 #[test]
 fn a_reader_that_stalls_or_leaves_holds_up_nothing() {
     let tests: [fn(); 3] = [

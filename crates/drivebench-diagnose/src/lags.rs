@@ -6,9 +6,11 @@
 //! the motor's values are as uncertain as they differ between the two (model averaging: Draper, J. R. Stat. Soc. B 57, 1995).
 
 use drivebench_identify::output_error::{self, FitError};
+use drivebench_identify::verdict::settled_below;
 use drivebench_model::numerics::levenberg_marquardt::Options;
 use drivebench_model::plant::effect::Enters;
 use drivebench_model::plant::{ActiveEffect, Effect, Model, Scenario, effect};
+use drivebench_model::sample::Reason;
 
 use super::joint::answer::Inference;
 use super::ladder::{Bench, Standing, affordable};
@@ -122,13 +124,17 @@ fn as_good(bench: &Bench, model: &Model, averages: bool, own: Errors) -> Option<
     (other.deviance - own.deviance < 6.0 * excess).then_some(fit)
 }
 
-/// Adds the differences of the values to the deviations.
+/// Adds the differences of the values to the deviations; a value that is wider than a settled one is not settled.
 fn widen(own: &mut Fitted, other: &Fitted) {
     for parameter in &mut own.parameters {
         let same = other.parameters.iter().find(|other| other.key == parameter.key);
         let values = parameter.value.zip(same.and_then(|same| same.value));
         if let (Some((value, another)), Some(std)) = (values, &mut parameter.std) {
             *std = std.hypot(another - value);
+            if *std > settled_below(&parameter.key) * value.abs() {
+                let reason = "another lag that serves as well gives another value";
+                parameter.unsettle(Reason::Ambiguous, reason);
+            }
         }
     }
 }

@@ -16,7 +16,7 @@ pub(super) const SETTLED_EFFECT: f64 = 0.1;
 pub const SETTLED_BELOW_RATIO: f64 = 1.25;
 
 /// Relative standard deviation below which the parameter of this key is settled.
-pub(super) fn settled_below(key: &str) -> f64 {
+pub fn settled_below(key: &str) -> f64 {
     if MotorKey::from_key(key).is_some() { SETTLED } else { SETTLED_EFFECT }
 }
 

@@ -374,7 +374,7 @@ impl Exchange {
     }
 }
 
-/// What a link and a bus of cells state of the exchange beneath them, in the same words.
+/// Methods that a link and a bus of cells delegate to their exchange.
 macro_rules! over_an_exchange {
     () => {
         fn name(&self) -> crate::link::LinkName {

@@ -155,7 +155,7 @@ fn an_unacknowledged_set_point_is_written_again() {
         let lost = table.run(speed_ref(700.0)).unwrap_err();
         assert!(lost.is_transient(), "{lost}");
         assert_ne!(table.written("speed_ref"), before);
-        // As asked before the reply was lost: the drive must not keep what nobody wants any more.
+        // The set-point of before the lost reply is written again: the drive must not keep the later one.
         table.run(REFERENCE).unwrap();
         assert_eq!(table.written("speed_ref"), before);
     }
