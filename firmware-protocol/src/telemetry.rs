@@ -113,7 +113,7 @@ impl Fault {
         Self::all().nth(code.into()).unwrap_or(Self::Other(code))
     }
 
-    /// Text of the event.
+    /// Text of the fault.
     pub fn text(self) -> &'static str {
         self.row().map_or("a code that this version does not know", |(_, _, text)| text)
     }
