@@ -340,9 +340,9 @@ impl Balance {
 fn processing_error(sides: &Sides, model: &Model, fitted: bool) -> Option<ProcessingError> {
     let relative = |rows: &TorqueRows, model: &Model| {
         let predicted = mechanical::predicted(&mechanical::with_events_of(model, rows), rows);
-        let pairs = rows.left.iter().zip(&predicted);
-        let squares: f64 = pairs.map(|(left, sum)| (left - sum).powi(2)).sum();
-        let whole: f64 = rows.left.iter().map(|left| left * left).sum();
+        let squares: f64 = rows.residual(&predicted).iter().map(|own| own * own).sum();
+        let left = rows.weighted(rows.left.iter().copied());
+        let whole: f64 = left.iter().map(|left| left * left).sum();
         100.0 * (squares / whole.max(f64::MIN_POSITIVE)).sqrt()
     };
     let on = |rows: &TorqueRows, model: &Model| {

@@ -418,8 +418,8 @@ pub(super) fn with_events_of(model: &Model, rows: &TorqueRows) -> Model {
         let given = model.get(&slot);
         let mut cost_at = |time_s: f64| -> f64 {
             model.set(&slot, time_s);
-            let pairs = rows.left.iter().zip(predicted(&model, rows));
-            pairs.map(|(left, sum)| (left - sum).powi(2)).sum()
+            let residual = rows.residual(&predicted(&model, rows));
+            residual.iter().map(|own| own * own).sum()
         };
         let tried = event_times(spec, rows).chain(given);
         let tried: Vec<(f64, f64)> = tried.map(|time_s| (cost_at(time_s), time_s)).collect();
@@ -656,11 +656,11 @@ struct System {
 
 impl System {
     fn new(model: &Model, rows: &TorqueRows) -> Option<Self> {
-        let mut right = DVector::from_column_slice(&rows.left);
+        let mut right = DVector::from_vec(rows.weighted(rows.left.iter().copied()));
         let (mut free, mut cells, mut takes_power) = (Vec::new(), Vec::new(), Vec::new());
         let at = instants(model, rows);
         for slot in unknowns(model) {
-            let column = column(model, &slot, rows, &at);
+            let column = rows.weighted(column(model, &slot, rows, &at));
             if is_fixed(model, &slot) {
                 let value = model.get(&slot).unwrap_or(0.0);
                 right.axpy(-value, &DVector::from_vec(column), 1.0);

@@ -76,9 +76,8 @@ impl Score {
 
     /// Of a balance of torques with this sum of its terms; `unit_n_m` is the noise of a row.
     pub(super) fn of_balance(rows: &TorqueRows, predicted: &[f64], unit_n_m: f64) -> Self {
-        let pairs = rows.left.iter().zip(predicted);
-        let residual: Vec<f64> = pairs.map(|(left, predicted)| left - predicted).collect();
-        let torque = signal_score(&residual, &rows.left);
+        let residual = rows.residual(predicted);
+        let torque = signal_score(&residual, &rows.weighted(rows.left.iter().copied()));
         Self {
             current: None,
             speed: None,

@@ -273,6 +273,8 @@ pub struct TorqueRows {
     pub rate_gain: f64,
     /// Length of one row's window (or of the filter's memory), s.
     pub span_s: f64,
+    /// Weights of the rows, 1 at most; empty where all are 1.
+    pub(super) weights: Vec<f64>,
     pub(super) averaging: Averaging,
 }
 
@@ -286,6 +288,17 @@ impl TorqueRows {
         let length_s =
             |(begin, end): &(usize, usize)| self.at[*end].time_s - self.at[*begin].time_s;
         self.spans.get(row).map_or(1.0, |span| length_s(span) / self.span_s)
+    }
+
+    /// Values of the rows, each times its weight.
+    pub fn weighted(&self, values: impl IntoIterator<Item = f64>) -> Vec<f64> {
+        let weights = self.weights.iter().copied().chain(std::iter::repeat(1.0));
+        values.into_iter().zip(weights).map(|(value, weight)| value * weight).collect()
+    }
+
+    /// What the predicted torque leaves in each row, N.m, times its weight.
+    pub fn residual(&self, predicted: &[f64]) -> Vec<f64> {
+        self.weighted(self.left.iter().zip(predicted).map(|(left, predicted)| left - predicted))
     }
 
     /// The column of a term with these values at the samples; NaN in rows with a missing value.

@@ -23,6 +23,7 @@
 pub mod added_inertia;
 pub mod balance;
 pub mod belief;
+mod between_samples;
 mod cause;
 pub mod claims;
 pub mod drift;

@@ -22,6 +22,7 @@ use super::balance::{
     Column, Derivation, Method, Signals, TorqueRows, Unknown, scored_s, set_motor, unknowns,
     why_no_regressor,
 };
+use super::between_samples;
 use super::noise::{NoiseFloor, roughness};
 use super::verdict::judge;
 use super::winding_balance;
@@ -31,7 +32,7 @@ use drivebench_model::numerics::{least_squares, statistics};
 use drivebench_model::plant::{
     Balance, Input, Instant, Model, MotorKey, REVERSAL_SHARE, Scenario, ShaftAngle, Slot,
 };
-use drivebench_model::sample::{ParameterEstimate, Reason};
+use drivebench_model::sample::{Channel, ParameterEstimate, Reason};
 use drivebench_model::signal::{self, Window};
 
 /// Half length of the windows of the torque balance, in times of response.
@@ -244,9 +245,18 @@ impl System {
             (gain, rate_gain) = (f64::max(gain, gains.0), f64::max(rate_gain, gains.1));
             windows.push(window);
         }
+        let mut matrix = DMatrix::from_fn(rows.len(), free.len(), |r, c| rows[r][c]);
+        if equation == Balance::Torque && scenario.input_channel == Channel::Current {
+            let (currents, noise) = (&scenario.current_a, [noise.current_a, noise.speed_rad_s]);
+            let weights = between_samples::weights(&windows, currents, speeds, noise);
+            for (row, weight) in weights.iter().enumerate() {
+                matrix.row_mut(row).scale_mut(*weight);
+                right[row] *= weight;
+            }
+        }
         Self {
             equation,
-            matrix: DMatrix::from_fn(rows.len(), free.len(), |r, c| rows[r][c]),
+            matrix,
             right: DVector::from_vec(right),
             unknowns,
             windows,
@@ -574,6 +584,14 @@ pub fn torque_rows(
         return None;
     }
     let time_s = windows.iter().map(|window| window.middle_s).collect();
+    let is_sampled = scenario.input_channel == Channel::Current;
+    let weights = if is_sampled {
+        let currents: Vec<f64> = at.iter().map(|at| at.current_a).collect();
+        let noise = [noise.current_a, noise.speed_rad_s];
+        between_samples::weights(&windows, &currents, &speeds, noise)
+    } else {
+        Vec::new()
+    };
     let averaging = move |values: &[f64]| -> Vec<f64> {
         windows.iter().map(|window| window.mean(values)).collect()
     };
@@ -594,6 +612,7 @@ pub fn torque_rows(
         rate_gain,
         span_s: nominal_s,
         at,
+        weights,
         averaging: Box::new(averaging),
     })
 }

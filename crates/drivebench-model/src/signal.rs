@@ -150,6 +150,12 @@ impl Window {
         weights.iter().zip(self.begin..).map(|(weight, sample)| weight * value(sample)).sum()
     }
 
+    /// Every interval between two samples, by its first, and its share of the mean.
+    pub fn intervals(&self) -> impl Iterator<Item = (usize, f64)> {
+        let pairs = self.weights.windows(2).zip(self.begin..);
+        pairs.map(|(pair, interval)| (interval, 0.5 * (pair[0] + pair[1])))
+    }
+
     /// Standard deviations of a mean and of a mean rate under white noise of unit variance: the norms of their weights.
     pub fn gains(&self) -> (f64, f64) {
         let norm = |weights: &[f64]| weights.iter().map(|w| w * w).sum::<f64>().sqrt();

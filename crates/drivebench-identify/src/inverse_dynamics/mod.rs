@@ -579,6 +579,7 @@ pub fn torque_rows(model: &Model, scenario: &Scenario) -> Option<TorqueRows> {
         gain: f64::NAN,
         rate_gain: f64::NAN,
         span_s: 1.0 / decimating.cut_off_hz,
+        weights: Vec::new(),
         averaging: Box::new(averaging),
     })
 }
