@@ -9,6 +9,7 @@
 //! run does not start at rest. The residual is `[(i - i^)/sigma_i ; (w - w^)/sigma_w]` over the scored samples.
 
 mod free_run;
+mod rounding;
 
 use nalgebra::{DMatrix, DVector};
 use thiserror::Error;
@@ -128,7 +129,7 @@ fn fit_from(
         .ok_or_else(|| cannot_simulate(scenario))?;
     let model = problem.model_at(&minimum.x);
     let interval_factor = interval_factor(&minimum, problem.rows(), noise);
-    let parameters = estimates(&problem, &minimum, scenario, interval_factor, &[]);
+    let parameters = estimates(&problem, &minimum, scenario, noise, interval_factor, &[]);
     Ok(Fit {
         nrms: nrms(&minimum, problem.rows()),
         start: problem.initial_state(&minimum.x),
@@ -161,12 +162,16 @@ fn estimates(
     problem: &FreeRun<'_>,
     minimum: &Minimum,
     scenario: &Scenario,
+    noise: &NoiseFloor,
     interval_factor: f64,
     shared: &[f64],
 ) -> Vec<ParameterEstimate> {
     let model = &problem.model_at(&minimum.x);
     let covariance = covariance_at(minimum, problem.rows(), scenario);
     let period_s = statistics::mean_step(&scenario.sample_time_s);
+    let (bread, _) = inverse_where_determined(&minimum.jacobian);
+    let rows = problem.rows();
+    let by_rounding = rounding::shared_variance(&minimum.jacobian, &bread, rows, scenario, noise);
     let slopes = problem.slopes(&minimum.x);
     let still = problem.why_still(&minimum.residual);
     model
@@ -187,7 +192,8 @@ fn estimates(
             let variance = covariance[(index, index)];
             let std = variance.is_finite().then(|| {
                 let own = interval_factor * variance.max(0.0).sqrt();
-                own.hypot(shared.get(index).copied().unwrap_or(0.0)) * slopes[index].abs()
+                let shared = shared.get(index).copied().unwrap_or(0.0);
+                own.hypot(shared).hypot(by_rounding[index].sqrt()) * slopes[index].abs()
             });
             let mut judged = judge(slot, value.unwrap_or(f64::NAN), std, period_s);
             if !minimum.converged {
@@ -305,7 +311,7 @@ pub fn fit_delayed(
         let std_s = white_s.max(clustered_s).min(prior_s);
         let shared: Vec<f64> = along.iter().map(|share| share * std_s).collect();
         let factor = found.interval_factor;
-        found.parameters = estimates(&problem, &found.minimum, scenario, factor, &shared);
+        found.parameters = estimates(&problem, &found.minimum, scenario, noise, factor, &shared);
         break;
     }
     Ok(found)

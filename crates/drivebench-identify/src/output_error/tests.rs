@@ -4,7 +4,7 @@ use drivebench_model::plant::MotorKey;
 use drivebench_model::sample::Verdict;
 
 /// A run of steps both ways with a creep through zero, simulated with `model` and sampled with white noise.
-fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
+pub(super) fn record(model: &Model, period_s: f64, seed: u64) -> Scenario {
     let volts = [0.0, 30.0, 60.0, -20.0, -70.0, 4.0, 8.0, -6.0, 0.0, 45.0];
     let events = held([0.0, 0.4, 0.9, 1.5, 2.2, 3.0, 3.4, 3.9, 4.4, 4.8], volts);
     testing::record(model, events, period_s, 6.0, seed)
