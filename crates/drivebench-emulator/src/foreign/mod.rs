@@ -266,7 +266,8 @@ impl ForeignDrive {
             let now_s = self.soft.time_s();
             if self.processing.is_needed() {
                 let sensed = self.soft.telemetry();
-                self.processing.follow(now_s, [sensed.current_a, sensed.speed_rad_s]);
+                let signals = [sensed.current_a, sensed.speed_rad_s];
+                self.processing.follow(now_s, signals, sensed.voltage_cmd_v);
             }
             self.processing.look(now_s, self.has_lost_host());
             self.apply_faults();

@@ -1,7 +1,7 @@
 //! What a drive makes of its signals before it reports them, as its profile states: a speed behind a filter, a current as its mean
 //! since it was last read, and a time-out as of its last look at the clock.
 
-use drivebench_link::register_map::RegisterMap;
+use drivebench_link::register_map::{Quantity, RegisterMap};
 use drivebench_model::numerics::count::whole;
 
 /// The processed signals of one drive.
@@ -9,6 +9,9 @@ use drivebench_model::numerics::count::whole;
 pub(super) struct Processing {
     filter_s: f64,
     averages_current: bool,
+    /// Whether the current is counted in the direction of the voltage, and that of the last voltage that was not zero.
+    is_driving: bool,
+    direction: f64,
     speed_rad_s: f64,
     at_s: f64,
     /// Sum and number of the currents since the last read, the time of that, and what it read.
@@ -26,6 +29,8 @@ impl Processing {
         Self {
             filter_s: stated.speed.filter_s,
             averages_current: stated.averages_current,
+            is_driving: map.of_quantity(Quantity::DrivingCurrent).is_some(),
+            direction: 1.0,
             ..Self::default()
         }
     }
@@ -35,13 +40,21 @@ impl Processing {
         self.filter_s > 0.0 || self.averages_current
     }
 
-    /// Takes what the sensors read now.
-    pub(super) fn follow(&mut self, time_s: f64, [current_a, speed_rad_s]: [f64; 2]) {
+    /// Takes what the sensors read now under this commanded voltage.
+    pub(super) fn follow(
+        &mut self,
+        time_s: f64,
+        [current_a, speed_rad_s]: [f64; 2],
+        voltage_v: f64,
+    ) {
+        if voltage_v != 0.0 {
+            self.direction = voltage_v.signum();
+        }
         let decay =
             if self.filter_s > 0.0 { (-(time_s - self.at_s) / self.filter_s).exp() } else { 0.0 };
         self.speed_rad_s = speed_rad_s + (self.speed_rad_s - speed_rad_s) * decay;
         self.at_s = time_s;
-        self.current.0 += current_a;
+        self.current.0 += if self.is_driving { self.direction * current_a } else { current_a };
         self.current.1 += 1;
     }
 
@@ -82,7 +95,8 @@ mod tests {
     fn a_step_passes_the_filter_and_the_mean() {
         let mut processing = Processing { filter_s: 0.05, ..Processing::default() };
         for step in 1..=1000 {
-            processing.follow(1e-3 * f64::from(step), [if step > 900 { 2.0 } else { 0.0 }, 100.0]);
+            let current_a = if step > 900 { 2.0 } else { 0.0 };
+            processing.follow(1e-3 * f64::from(step), [current_a, 100.0], 12.0);
             if step == 50 {
                 assert!((processing.speed_rad_s() - 63.2).abs() < 0.1);
             }

@@ -287,15 +287,9 @@ impl ForeignDrive {
         let unit = signal.numbers.unit;
         let si = signal.channel.map(|(_, si)| si);
         match signal.keys.quantity {
-            Quantity::Current if signal.keys.since_last_read => {
+            Quantity::Current if !signal.keys.since_last_read => sensed.current_a,
+            Quantity::Current | Quantity::DrivingCurrent => {
                 self.processing.mean_current_a(self.soft.time_s())
-            }
-            Quantity::Current => sensed.current_a,
-            Quantity::DrivingCurrent => {
-                // A duty of half a thousandth is reported as none.
-                let duty = sensed.voltage_cmd_v / limit_v;
-                let way = if duty.abs() < 5e-4 { sensed.speed_rad_s } else { duty };
-                self.processing.mean_current_a(self.soft.time_s()) * way.signum()
             }
             Quantity::Voltage => sensed.voltage_v,
             Quantity::BusVoltage => sensed.bus_v,

@@ -462,3 +462,44 @@ fn the_motor_that_a_vesc_states_is_found_in_every_firmware() {
     assert_eq!((found.resistance_ohm, found.back_emf_v_s_per_rad), (None, None));
     assert_eq!(stated("vesc-dc", &[], &[]), None);
 }
+
+/// Samples of a VESC in cycles of 10 ms under these voltages, of the cycles in which it runs.
+fn of_a_vesc(volts: &[f64]) -> Vec<Sample> {
+    let profile = profile_with("vesc-dc", &[]);
+    let config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
+    let clock = VirtualClock::new();
+    let guise = Guise::of(&profile).unwrap();
+    let mut link = open_line(Some(&guise), &config, 1, &profile, clock.clone()).unwrap();
+    link.identify().unwrap();
+    let sample = |(seq, volts): (u32, &f64)| {
+        clock.set_time_s(1.0 + 0.01 * f64::from(seq));
+        let demand = if seq == 1 { Demand::Disable } else { Demand::Voltage(*volts) };
+        link.exchange(Command { seq: u64::from(seq), demand }).unwrap()
+    };
+    (1..).zip(std::iter::repeat_n(&0.0, 200).chain(volts)).map(sample).skip(200).collect()
+}
+
+#[test]
+fn a_current_in_the_direction_of_the_duty_has_no_value_where_that_reverses() {
+    let volts: Vec<f64> = (0..60).map(|k| [20.0, -20.0, 0.0][k / 20]).collect();
+    let samples = of_a_vesc(&volts);
+    let currents: Vec<_> = samples.iter().map(|own| own.get(Channel::Current)).collect();
+    let missing: Vec<usize> = (0..60).filter(|k| currents[*k].is_none()).collect();
+    // The drive's own ramp crosses zero within two cycles of the command.
+    let are_there = !missing.is_empty() && missing.iter().all(|k| (20..24).contains(k));
+    assert!(are_there, "{missing:?}");
+    let [driven, reversed] = [12, 25].map(|k| currents[k].unwrap());
+    assert!(driven > 0.0 && reversed < 0.0, "{driven} {reversed}");
+    // The shorted motor brakes against the last direction.
+    let braking = currents[44].unwrap();
+    assert!(braking > 0.0, "{braking}");
+}
+
+#[test]
+fn a_reference_below_the_smallest_of_its_drive_is_sent_as_zero() {
+    let volts: Vec<f64> = [20.0, 0.8, -0.8, 0.4, -0.4].into_iter().flat_map(|v| [v; 5]).collect();
+    let samples = of_a_vesc(&volts);
+    let held = |k: usize| samples[5 * k + 4].get(Channel::VoltageCmd).unwrap();
+    let is_zero = [0, 1, 2, 3, 4].map(|k| held(k) == 0.0);
+    assert_eq!(is_zero, [false, false, false, true, true], "{:?}", [1, 2, 3, 4].map(held));
+}

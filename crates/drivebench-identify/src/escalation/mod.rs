@@ -178,7 +178,10 @@ impl Escalation {
         let stage = stage.clone();
         let scenario = scenario_of(run)?;
         let observation = Observation::of(&scenario, run, &self.bounds);
-        (self.last_v, self.last_a) = (observation.peak_v.abs(), observation.peak_current_a.abs());
+        // A drive rounds its smallest commands to zero: the whole stage was harmless then.
+        let applied_v = observation.peak_v.abs();
+        self.last_v = if applied_v > 0.0 { applied_v } else { stage.peak_v };
+        self.last_a = observation.peak_current_a.abs();
         self.last_moved = observation.moves();
         let (next, line) = self.judge(&stage, &scenario, &observation);
         self.history.push(StageResult {

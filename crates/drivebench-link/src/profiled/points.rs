@@ -160,6 +160,9 @@ impl Points {
             let most = slew * since_s.clamp(0.0, 0.5);
             value = value.clamp(from - most, from + most);
         }
+        if point.keys.smallest.is_some_and(|smallest| value.abs() < smallest) {
+            value = 0.0;
+        }
         self.sent[at].asked_s = Some(now_s);
         self.limited |= (value - wanted).abs() > 1e-9 * wanted.abs().max(1.0);
         let sent = &self.sent[at];

@@ -52,6 +52,8 @@ pub(super) struct Readings {
     /// Positions that begin again somewhere, followed over that: by position in the map, the last raw number and how far it
     /// was when it was read, counts.
     positions: BTreeMap<usize, Position>,
+    /// Signs of the values that are counted in the direction of another signal.
+    directions: BTreeMap<usize, f64>,
     /// The latest voltages of the supply, in the unit of their signal; NaN before.
     supply: [f64; 3],
     /// Values that were no value: an invalid code, out of the valid range, not finite.
@@ -67,6 +69,7 @@ impl Readings {
             slow_due_s: f64::NEG_INFINITY,
             last: vec![Reading::default(); map.signals.len()],
             positions: BTreeMap::new(),
+            directions: BTreeMap::new(),
             supply: [f64::NAN; 3],
             rejected: 0,
             map,
@@ -207,13 +210,27 @@ impl Readings {
 
     /// Computes what depends on signals that were just read.
     fn compute(&mut self, read: &[usize], span: Span) {
-        for (index, signal) in self.map.signals.iter().enumerate() {
+        let map = Arc::clone(&self.map);
+        for (index, signal) in map.signals.iter().enumerate() {
             let Some(formula) = &signal.formula else { continue };
             if formula.of.iter().any(|input| read.contains(input)) {
-                let value = formula.value(|input| self.last[input].value);
+                let mut value = formula.value(|input| self.last[input].value);
+                if let Some(signal) = formula.direction {
+                    value =
+                        value.zip(self.direction(index, signal)).map(|(value, sign)| sign * value);
+                }
                 self.last[index] = Reading { value, pattern: None, span };
             }
         }
+    }
+
+    /// Sign of the value at `index`, which is counted in the direction of `signal`; `None` where that has changed since the last read.
+    fn direction(&mut self, index: usize, signal: usize) -> Option<f64> {
+        let now = self.last[signal].value?;
+        let before = self.directions.get(&index).copied().unwrap_or(now);
+        let sign = if now == 0.0 { before } else { now }.signum();
+        self.directions.insert(index, sign);
+        (sign * before >= 0.0).then_some(sign)
     }
 
     fn value(&self, index: usize, pattern: u32) -> Option<f64> {

@@ -86,6 +86,8 @@ pub struct Formula {
     pub(super) tree: Tree,
     /// Those signals, by position in the map; the names of the tree count them.
     pub of: Vec<usize>,
+    /// The signal in the direction of which the value is counted.
+    pub direction: Option<usize>,
 }
 
 impl Formula {

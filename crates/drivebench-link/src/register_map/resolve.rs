@@ -317,8 +317,7 @@ impl Reader<'_> {
         let whole = match spanned.get_ref() {
             DerivedKeys::Whole(whole) => whole.clone(),
             DerivedKeys::Expression(value) => {
-                let (value, side) = (value.clone(), None);
-                WholeDerived { value, origin: None, side, filter_ms: None, since_last_read: false }
+                WholeDerived { value: value.clone(), ..WholeDerived::default() }
             }
         };
         let part = self.part(spanned.span(), format!("derived {name}: "));
@@ -335,10 +334,13 @@ impl Reader<'_> {
             }
         };
         let used = RefCell::new(Vec::new());
-        let names = |name: &str| {
+        let position = |name: &str| {
             let names = signals.iter().map(|signal| signal.name.as_str());
             let known = signals.iter().position(|signal| signal.name == name);
-            let index = known.ok_or_else(|| help_for_unknown(name, names))?;
+            known.ok_or_else(|| help_for_unknown(name, names))
+        };
+        let names = |name: &str| {
+            let index = position(name)?;
             let mut used = used.borrow_mut();
             Ok(used.iter().position(|known| *known == index).unwrap_or_else(|| {
                 used.push(index);
@@ -348,6 +350,8 @@ impl Reader<'_> {
         let tree = read_expression(&whole.value, &names);
         let wrong = |mistake: Mistake| format!("{}; {}", mistake.message, mistake.help);
         let tree = part.of("value", tree.map_err(wrong))?;
+        let direction = whole.direction.as_deref().map(position).transpose();
+        let direction = part.of("direction", direction)?;
         Ok(Signal {
             name: name.to_owned(),
             line: self.line(&spanned.span()),
@@ -360,7 +364,7 @@ impl Reader<'_> {
             numbers: part.of("value", numbers(None, None, &[], unit))?,
             channel: channel_of(quantity, unit, PerTurn::default()),
             wraps_at: None,
-            formula: Some(Formula { tree, of: used.into_inner() }),
+            formula: Some(Formula { tree, of: used.into_inner(), direction }),
         })
     }
 
@@ -419,11 +423,15 @@ impl Reader<'_> {
             ("refresh_ms", keys.refresh_ms),
             ("slew_per_s", keys.slew_per_s),
             ("ramp_per_s", keys.ramp_per_s),
+            ("smallest", keys.smallest),
         ] {
             let is_allowed = value.is_none_or(|value| value.is_finite() && value > 0.0);
             let message = format_args!("{key} is not allowed (expected more than 0)");
             part.require(is_allowed, key, message)?;
         }
+        let holds = keys.smallest.is_none() || keys.slew_per_s.is_none();
+        let message = "with slew_per_s it is never left: a step of the slew may be smaller";
+        part.require(holds, "smallest", message)?;
         let holds = !keys.nvm || keys.refresh_ms.is_none();
         let message =
             "a register in non-volatile memory must not be refreshed: each write wears it out";

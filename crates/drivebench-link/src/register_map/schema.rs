@@ -191,7 +191,7 @@ pub(super) enum DerivedKeys {
     Whole(WholeDerived),
 }
 
-#[derive(Clone, Debug, Deserialize)]
+#[derive(Clone, Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct WholeDerived {
     pub(super) value: String,
@@ -201,6 +201,8 @@ pub(super) struct WholeDerived {
     pub(super) filter_ms: Option<f64>,
     #[serde(default)]
     pub(super) since_last_read: bool,
+    /// The value is counted in the direction of this signal, or of its last value that was not zero. A mean over a reversal is none.
+    pub(super) direction: Option<String>,
 }
 
 impl SignalKeys {
@@ -252,6 +254,8 @@ pub struct SetPointKeys {
     pub slew_per_s: Option<f64>,
     /// The drive's own ramp to the set-point, in its unit per second.
     pub ramp_per_s: Option<f64>,
+    /// A smaller one is zero to the drive.
+    pub smallest: Option<f64>,
     pub(super) refresh_ms: Option<f64>,
     #[serde(default)]
     pub readback: bool,
