@@ -425,7 +425,8 @@ impl Checker<'_> {
         let times = self.times();
         let longest_s = match demand {
             Demand::Disable | Demand::Stop => times.stop_s,
-            Demand::ResetFault => times.reset_s,
+            // A reset follows the stop of a drive that runs.
+            Demand::ResetFault => times.stop_s + times.reset_s,
             Demand::Voltage(_) | Demand::Current(_) | Demand::Speed(_) => times.enable_s,
         };
         let until_s = next_s + longest_s;

@@ -81,8 +81,6 @@ pub struct ProfiledLink<B> {
     clock: Option<Clock>,
     /// Time since which the fault condition has held, s.
     in_fault_since_s: Option<f64>,
-    /// When a drive was enabled that reported the silence before it, s, until it has reported that this is over.
-    lost_before_s: Option<f64>,
 }
 
 impl<B: CellBus> ProfiledLink<B> {
@@ -93,7 +91,6 @@ impl<B: CellBus> ProfiledLink<B> {
             watchdog_s: map.watchdog.default_s().filter(|time| *time > 0.0),
             clock: Clock::of(&map),
             in_fault_since_s: None,
-            lost_before_s: None,
             map,
             bus,
             mode: Mode::Off,
@@ -324,7 +321,7 @@ impl<B: CellBus> ProfiledLink<B> {
         // A drive that its watchdog has stopped may refuse the words of a stop.
         gone(self.give_up())?;
         let reason = format!(
-            "nothing that the drive's watchdog of {watchdog_s} s counts went out for {silence_s:.3} s: the drive was told to stop before anything else"
+            "for {silence_s:.3} s the link sent nothing that restarts the drive's watchdog of {watchdog_s} s, so it sent a stop before any other command"
         );
         Err(self.broken_off("run", (1, 1), reason))
     }
@@ -339,8 +336,6 @@ impl<B: CellBus> ProfiledLink<B> {
                     && self.state() != DriveState::Fault
                     && self.hindrance().is_none() =>
             {
-                let is_lost = self.reported("comm_loss") == Some(true);
-                self.lost_before_s = is_lost.then_some(now_s);
                 let enable = Sequence::new("enable", &self.map.commands.enable, now_s);
                 self.mode = Mode::Enabling(enable.preceded(self.all_to_zero()));
             }
@@ -497,9 +492,6 @@ impl<B: CellBus> ProfiledLink<B> {
     /// End of a run by the drive. The sample reports the first cause, not a consequence such as refused writes of a drive in fault.
     fn supervise(&mut self) -> Result<()> {
         let now_s = self.bus.now_s();
-        if self.reported("comm_loss") == Some(false) {
-            self.lost_before_s = None;
-        }
         let in_fault = self.is_in_fault();
         let since_s = in_fault.then(|| self.in_fault_since_s.unwrap_or(now_s));
         if in_fault && std::mem::replace(&mut self.in_fault_since_s, since_s).is_none() {
@@ -698,6 +690,7 @@ impl<B: CellBus> DriveLink for ProfiledLink<B> {
             self.bus.pause_until_s(self.bus.now_s() + pause.as_secs_f64());
         }
         self.check_identity()?;
+        self.outlast_watchdog()?;
         let (mut vendor, mut product, mut firmware) =
             (String::new(), self.map.device.name.clone(), String::new());
         if self.map.functions.contains(&43) {

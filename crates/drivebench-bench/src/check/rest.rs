@@ -356,11 +356,12 @@ impl Checker<'_> {
         );
         if tripped {
             self.report.watchdog_proven_s = Some(silence_s);
-            let cleared = |state| state != DriveState::Fault;
+            // The pulse begins with a drive whose stop has ended.
+            let cleared = |state| !matches!(state, DriveState::Fault | DriveState::Running);
             match self.until_still(Demand::ResetFault, &mut still, cleared)? {
                 Reached::Yes => {}
                 Reached::Never => {
-                    let waited_s = self.times().reset_s;
+                    let waited_s = self.times().stop_s + self.times().reset_s;
                     let text = format!("{text}; it does not reset within {waited_s:.2} s");
                     return Ok(self.note(WATCHDOG, false, text, "reset the drive by hand"));
                 }

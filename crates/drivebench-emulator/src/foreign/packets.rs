@@ -245,7 +245,9 @@ impl ForeignDrive {
         let map = std::sync::Arc::clone(&self.map);
         let mut points = map.set_points.iter();
         let Some(point) = points.find(|point| point.function == command) else { return };
-        self.written.clear();
+        if self.ignored.as_ref() != Some(&point.name) {
+            self.written.clear();
+        }
         for (address, byte) in (point.location.address..).zip(value) {
             self.written(address, (*byte).into());
         }

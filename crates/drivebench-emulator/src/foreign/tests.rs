@@ -265,7 +265,7 @@ fn silence_trips_each_watchdog_and_nothing_old_comes_back() {
         let lapse = table.run(reference);
         // The time is known only from the drive's register, or from its profile as delivered.
         if watchdog_s.is_some_and(|time_s| time_s < 4.0) {
-            assert_contains(&lapse.unwrap_err(), "told to stop before anything else");
+            assert_contains(&lapse.unwrap_err(), "sent a stop before any other command");
         }
         let state = table.rest().state;
         if table.link.map().state("fault").is_some() {

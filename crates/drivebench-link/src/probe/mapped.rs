@@ -78,7 +78,9 @@ pub(super) fn probe(
         (0..map.signals.len()).any(|index| fits(index) == Some(false))
     };
     let holds = |windows: &[Window], condition: &Condition| {
-        pattern(map, windows, &condition.signal).map(|bits| condition.holds(bits))
+        let picture = Picture { map, windows, rated_current_a };
+        let value = |name: &str| picture.reading(map.index(name)?).value();
+        condition.holds_by(pattern(map, windows, &condition.signal), value)
     };
     let runs = map.state.iter().any(|(name, condition)| {
         name == RUNNING && holds(&reader.windows, condition) == Some(true)

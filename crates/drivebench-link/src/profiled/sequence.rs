@@ -244,6 +244,19 @@ impl<B: CellBus> ProfiledLink<B> {
         }
     }
 
+    /// A drive that resumes with the next command shows by its watchdog that nothing commands it, and only so long after the last
+    /// command: reads, which it does not count, until then.
+    pub(super) fn outlast_watchdog(&mut self) -> Result<()> {
+        let resumes = self.map.watchdog.keys.auto_resume && self.map.state("comm_loss").is_some();
+        let Some(watchdog_s) = self.watchdog_s.filter(|_| resumes) else { return Ok(()) };
+        // A fifth for the drive's clock and its period of looking at it.
+        let until_s = self.bus.now_s() + 1.2 * watchdog_s;
+        while self.reported("running") == Some(true) && self.bus.now_s() < until_s {
+            self.look()?;
+        }
+        Ok(())
+    }
+
     /// Whether the drive reports within a few seconds that it does not run; only a status read after the stop counts. Without a status
     /// signal the acknowledged writes count.
     pub(super) fn rests(&mut self) -> Result<bool> {
@@ -283,6 +296,7 @@ mod tests {
                     mask: 0x6F,
                     pattern: 0x21,
                     negated: false,
+                    or: None,
                     line: 7,
                 },
                 within_s: 1.0,

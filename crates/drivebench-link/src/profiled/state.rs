@@ -20,13 +20,19 @@ impl<B: CellBus> ProfiledLink<B> {
     /// Whether a state of the profile holds; `None` where no register maps it.
     pub(super) fn reported(&self, state: &str) -> Option<bool> {
         let condition = self.map.state(state)?;
-        Some(condition.holds(self.readings.get(&condition.signal)?.pattern?))
+        let pattern = self.readings.get(&condition.signal)?.pattern;
+        condition.holds_by(pattern, |name| self.readings.get(name)?.value)
     }
 
     /// The same where it was read since then, s.
     pub(super) fn state_since(&self, state: &str, since_s: f64) -> Option<bool> {
-        let reading = self.readings.get(&self.map.state(state)?.signal)?;
-        self.reported(state).filter(|_| reading.span.asked_s >= since_s)
+        let condition = self.map.state(state)?;
+        let is_fresh = |name: &str| {
+            self.readings.get(name).is_some_and(|reading| reading.span.asked_s >= since_s)
+        };
+        let are_fresh = is_fresh(&condition.signal)
+            && condition.or.as_ref().is_none_or(|beyond| is_fresh(&beyond.signal));
+        self.reported(state).filter(|_| are_fresh)
     }
 
     /// Whether its fault condition holds, or that of its own watchdog.
@@ -35,15 +41,10 @@ impl<B: CellBus> ProfiledLink<B> {
     }
 
     /// Whether it reports that its watchdog has expired. One that resumes with the next command reports it of every silence, also
-    /// of that before the first command, and may clear it some time after that command: VESC looks every 10 ms. Longer than the
-    /// watchdog's time it is a report of this run.
+    /// of that before its enable command and that after its stop.
     fn has_lost_host(&self) -> bool {
-        let rests = self.mode == Mode::Off && self.map.watchdog.keys.auto_resume;
-        let since_s = self.lost_before_s.zip(self.watchdog_s);
-        let is_of_before = since_s.is_some_and(|(enabled_s, watchdog_s)| {
-            self.map.watchdog.keys.auto_resume && self.bus.now_s() - enabled_s < watchdog_s
-        });
-        self.reported("comm_loss") == Some(true) && !rests && !is_of_before
+        let is_expected = self.mode != Mode::On && self.map.watchdog.keys.auto_resume;
+        self.reported("comm_loss") == Some(true) && !is_expected
     }
 
     /// The code of its fault, as last read; 0 is none.

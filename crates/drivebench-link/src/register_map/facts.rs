@@ -208,13 +208,23 @@ impl SetPoint {
     }
 }
 
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// The magnitude of a signal is more than a share of another one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Beyond {
+    pub signal: String,
+    pub of: String,
+    pub share: f64,
+}
+
+#[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     pub signal: String,
     pub mask: u32,
     pub pattern: u32,
     /// The bits must differ from the pattern.
     pub negated: bool,
+    /// The condition also holds where this does, whatever the bits are.
+    pub or: Option<Beyond>,
     /// Line of the profile in which it stands.
     pub line: usize,
 }
@@ -224,11 +234,27 @@ impl Condition {
         (pattern & self.mask == self.pattern) != self.negated
     }
 
+    /// By the bits and, where they do not hold, by the value of `or`; `None` while one of them is not known.
+    pub fn holds_by(
+        &self,
+        pattern: Option<u32>,
+        value: impl Fn(&str) -> Option<f64>,
+    ) -> Option<bool> {
+        let holds = self.holds(pattern?);
+        let Some(beyond) = self.or.as_ref().filter(|_| !holds) else { return Some(holds) };
+        Some(value(&beyond.signal)?.abs() > beyond.share * value(&beyond.of)?)
+    }
+
     /// The expected value of the signal, and its line in the profile.
     pub fn expected(&self) -> String {
         let not = if self.negated { "other than " } else { "" };
         let Self { pattern, mask, line, .. } = self;
-        format!("expected {not}{pattern:#06x} under mask {mask:#06x}, line {line} of the profile")
+        let or = self.or.as_ref().map_or_else(String::new, |Beyond { signal, of, share }| {
+            format!(", or {signal} beyond {share} of {of}")
+        });
+        format!(
+            "expected {not}{pattern:#06x} under mask {mask:#06x}{or}, line {line} of the profile"
+        )
     }
 }
 

@@ -24,7 +24,7 @@ pub use crate::framing::{Grammar, Line};
 pub use candidates::{Candidate, Hypothesis, Picture, Window};
 pub(crate) use candidates::{confirms, expected_at_rest};
 pub use facts::{
-    Commands, Condition, Formula, IdentityCheck, IdentityTest, Location, Numbers, Reading,
+    Beyond, Commands, Condition, Formula, IdentityCheck, IdentityTest, Location, Numbers, Reading,
     RegisterMap, SetPoint, Signal, Step, Supervision, Write, product_of,
 };
 pub use plan::{ReadBlock, plan_reads};

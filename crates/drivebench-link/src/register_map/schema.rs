@@ -299,6 +299,10 @@ pub(super) struct ConditionKeys {
     pub(super) mask: Option<u32>,
     pub(super) equals: Option<u32>,
     pub(super) not_equals: Option<u32>,
+    /// Or the value of this signal is beyond a share of another one.
+    pub(super) or: Option<String>,
+    pub(super) beyond: Option<f64>,
+    pub(super) of: Option<String>,
     pub(super) none: Option<String>,
 }
 

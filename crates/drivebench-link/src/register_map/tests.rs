@@ -31,6 +31,30 @@ fn each_has_name_source_and_trust() {
 }
 
 #[test]
+fn a_vesc_runs_until_its_time_out_and_while_a_current_flows() {
+    for (name, signal, limit) in
+        [("vesc-dc", "motor_current", "current_limit"), ("vesc-foc", "iq", "phase_current_limit")]
+    {
+        let map = map(name);
+        let runs = |status, amps: Option<f64>| {
+            let value =
+                |asked: &str| if asked == signal { amps } else { (asked == limit).then_some(60.0) };
+            map.state("running").unwrap().holds_by(status, value)
+        };
+        for (status, amps, expected) in [
+            (Some(0), Some(0.0), Some(true)),
+            (Some(1), Some(0.9), Some(false)),
+            (Some(1), Some(-1.3), Some(true)),
+            (Some(0), None, Some(true)),
+            (Some(1), None, None),
+            (None, Some(0.0), None),
+        ] {
+            assert_eq!(runs(status, amps), expected, "{name} {status:?} {amps:?}");
+        }
+    }
+}
+
+#[test]
 fn addresses_are_those_of_the_sources() {
     for (name, signal, address) in [
         ("siemens-v20", "speed", 24),
@@ -169,7 +193,7 @@ fn defects_are_named_with_place_and_nearest_key() {
     let text = include_str!("defects.toml");
     let mut defects: BTreeMap<String, Vec<Defect>> = toml::from_str(text).unwrap();
     let defects = defects.remove("defect").unwrap();
-    assert_eq!(defects.len(), 52);
+    assert_eq!(defects.len(), 56);
     let mut surprises = Vec::new();
     for defect in defects {
         let (error, at) = wrong(&defect.profile, &defect.from, &defect.to);

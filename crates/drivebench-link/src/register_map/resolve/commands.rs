@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use toml::Spanned;
 
 use super::super::facts::{
-    Condition, IdentityCheck, IdentityTest, RegisterMap, SetPoint, Step, Write,
+    Beyond, Condition, IdentityCheck, IdentityTest, RegisterMap, SetPoint, Step, Write,
 };
 use super::super::schema::{ConditionKeys, IdentityKeys, StepKeys};
 use super::super::terms::PollRate;
@@ -64,7 +64,13 @@ impl Reader<'_> {
             (None, Some(pattern)) => (pattern, true),
             _ => return Err(part.wrong("mask", "expected one of equals and not_equals")),
         };
-        condition(&part, map, signal, (mask, pattern), negated).map(Ok)
+        let or = match (&keys.or, keys.beyond, &keys.of) {
+            (None, None, None) => None,
+            (Some(signal), Some(share), Some(of)) => Some(beyond(&part, map, signal, share, of)?),
+            _ => return Err(part.wrong("", "or, beyond and of belong together")),
+        };
+        let bits = condition(&part, map, signal, (mask, pattern), negated)?;
+        Ok(Ok(Condition { or, ..bits }))
     }
 
     pub(super) fn fault_codes(
@@ -177,8 +183,30 @@ fn condition(
         mask,
         pattern,
         negated,
+        or: None,
         line: part.reader.line(&part.span),
     })
+}
+
+/// A test of a value that is read in every cycle against a share of another one.
+fn beyond(
+    part: &Part<'_>,
+    map: &RegisterMap,
+    signal: &str,
+    share: f64,
+    of: &str,
+) -> Checked<Beyond> {
+    let fast = map.signals.iter().filter(|s| s.keys.poll == PollRate::Fast);
+    let fast = fast.map(|signal| signal.name.as_str());
+    part.reader.known(signal, fast, "signal with poll = \"fast\"", &part.span)?;
+    let names = map.signals.iter().map(|signal| signal.name.as_str());
+    part.reader.known(of, names, "signal", &part.span)?;
+    let unit = |name| map.signal(name).map(|signal| signal.numbers.unit);
+    let is_share = unit(signal) == unit(of) && share > 0.0 && share < 1.0;
+    let message =
+        "beyond is no share of it (expected more than 0, less than 1, and two signals of one unit)";
+    part.require(is_share, "beyond", format_args!("{message}"))?;
+    Ok(Beyond { signal: signal.to_owned(), of: of.to_owned(), share })
 }
 
 /// Why a command must not write this value: the bench gives references, a command only takes them back.
