@@ -2,6 +2,7 @@
 //! and the identity.
 
 use std::sync::atomic::AtomicBool;
+use std::time::Duration;
 
 use super::ProbeDepth;
 use super::report::{ProbeReport, ProbedCheck, ProbedSignal, ProbedState};
@@ -26,6 +27,8 @@ pub(super) trait Source {
     fn read_all(&mut self, requests: &[ReadRequest]) -> Vec<Result<Vec<u16>>>;
 
     fn object(&mut self, object: u8) -> Result<Option<String>>;
+
+    fn pause(&mut self, seconds: f64);
 }
 
 impl Source for RawClient {
@@ -41,6 +44,10 @@ impl Source for RawClient {
     fn object(&mut self, object: u8) -> Result<Option<String>> {
         Self::object(self, object)
     }
+
+    fn pause(&mut self, seconds: f64) {
+        std::thread::sleep(Duration::from_secs_f64(seconds));
+    }
 }
 
 impl Source for &mut dyn CellBus {
@@ -54,6 +61,10 @@ impl Source for &mut dyn CellBus {
 
     fn object(&mut self, object: u8) -> Result<Option<String>> {
         CellBus::object(*self, object)
+    }
+
+    fn pause(&mut self, seconds: f64) {
+        self.pause_until_s(self.now_s() + seconds);
     }
 }
 
@@ -82,9 +93,17 @@ pub(super) fn probe(
         let value = |name: &str| picture.reading(map.index(name)?).value();
         condition.holds_by(pattern(map, windows, &condition.signal), value)
     };
-    let runs = map.state.iter().any(|(name, condition)| {
-        name == RUNNING && holds(&reader.windows, condition) == Some(true)
-    });
+    let runs = |windows: &[Window]| {
+        map.state(RUNNING).and_then(|condition| holds(windows, condition)) == Some(true)
+    };
+    // A drive that was commanded a moment ago still reports that it runs.
+    let (step_s, mut left_s) = (0.1, map.released_after_s().unwrap_or(0.0));
+    while left_s > 0.0 && runs(&reader.windows) {
+        reader.client.pause(step_s);
+        reader.read_mapped()?;
+        left_s -= step_s;
+    }
+    let runs = runs(&reader.windows);
     // What a running drive reads cannot be judged, so no other way of reading it is better.
     let advises = doubtful && !runs && map.protocol.is_modbus();
     if advises && depth == ProbeDepth::Whole {

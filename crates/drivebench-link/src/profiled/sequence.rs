@@ -244,13 +244,9 @@ impl<B: CellBus> ProfiledLink<B> {
         }
     }
 
-    /// A drive that resumes with the next command shows by its watchdog that nothing commands it, and only so long after the last
-    /// command: reads, which it does not count, until then.
+    /// Reads, which such a watchdog does not count, until the drive shows that nothing commands it, or its time is over.
     pub(super) fn outlast_watchdog(&mut self) -> Result<()> {
-        let resumes = self.map.watchdog.keys.auto_resume && self.map.state("comm_loss").is_some();
-        let Some(watchdog_s) = self.watchdog_s.filter(|_| resumes) else { return Ok(()) };
-        // A fifth for the drive's clock and its period of looking at it.
-        let until_s = self.bus.now_s() + 1.2 * watchdog_s;
+        let until_s = self.bus.now_s() + self.map.released_after_s().unwrap_or(0.0);
         while self.reported("running") == Some(true) && self.bus.now_s() < until_s {
             self.look()?;
         }

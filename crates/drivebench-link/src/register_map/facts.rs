@@ -446,6 +446,14 @@ impl RegisterMap {
         self.set_points.iter().find(is_it).or_else(|| self.set_points.iter().find(duty))
     }
 
+    /// A drive that resumes with the next command shows by its watchdog that nothing commands it: until so long after the last
+    /// command, s.
+    pub fn released_after_s(&self) -> Option<f64> {
+        let resumes = self.watchdog.keys.auto_resume && self.state("comm_loss").is_some();
+        // A fifth for the drive's clock and its period of looking at it.
+        self.watchdog.default_s().filter(|_| resumes).map(|watchdog_s| 1.2 * watchdog_s)
+    }
+
     pub fn state(&self, name: &str) -> Option<&Condition> {
         self.state.get(name)
     }
