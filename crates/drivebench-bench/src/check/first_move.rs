@@ -13,7 +13,7 @@ use crate::trip::Trip;
 use drivebench_control::Actuator;
 use drivebench_identify::belief::Settings;
 use drivebench_link::DriveProfile;
-use drivebench_link::register_map::{Quantity, RegisterMap, Signal};
+use drivebench_link::register_map::{DeviceKind, Quantity, RegisterMap, Signal};
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 
 const DIRECTION: &str = "direction";
@@ -90,6 +90,10 @@ impl Checker<'_> {
             noise_v: floor(noise, Channel::Voltage).1,
             signed_current: current.is_none_or(Signal::is_signed),
             set_point: set_point(map, self.zero),
+            is_field_oriented: map.is_some_and(|map| map.device.kind == DeviceKind::Bldc),
+            by_flux_linkage: self.report.identity.motor.and_then(|stated| {
+                stated.back_emf_v_s_per_rad.filter(|_| map.is_some_and(has_pole_pairs_in_both))
+            }),
         };
         let still = self.still(limits);
         let one_way = limits.quadrants < 4;
@@ -139,6 +143,16 @@ impl Checker<'_> {
         };
         Ok(self.note(DIRECTION, false, text, help))
     }
+}
+
+/// Speed and stored back-EMF constant are scaled by one signal, the one divided and the other multiplied.
+fn has_pole_pairs_in_both(map: &RegisterMap) -> bool {
+    let divides = |name: &String| {
+        let speed = map.of_channel(Channel::Speed);
+        speed.is_some_and(|speed| speed.numbers.scale_by.contains(&format!("/{name}")))
+    };
+    let constant = map.of_quantity(Quantity::MotorBackEmf);
+    constant.is_some_and(|constant| constant.numbers.scale_by.iter().any(divides))
 }
 
 fn set_point(map: Option<&RegisterMap>, zero: Demand) -> Option<&str> {

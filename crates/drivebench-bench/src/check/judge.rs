@@ -32,6 +32,10 @@ pub(super) struct Known<'a> {
     pub(super) signed_current: bool,
     /// The set-point of the profile that is commanded.
     pub(super) set_point: Option<&'a str>,
+    /// The drive turns the field by an encoder on the shaft.
+    pub(super) is_field_oriented: bool,
+    /// Back-EMF constant by the flux linkage that the drive stores, V.s/rad, where it and the speed depend on the drive's pole pairs.
+    pub(super) by_flux_linkage: Option<f64>,
 }
 
 impl Known<'_> {
@@ -147,12 +151,21 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
         return None;
     }
     if moved {
-        return Some((
-            format!(
-                "encoder reversed, or the armature's leads exchanged: the speed goes to {speed:+.2} rad/s against the set-point"
-            ),
-            "exchange A and B of the encoder, or the two leads of the armature, or set the sign in the drive's profile",
-        ));
+        let against = format!("the speed goes to {speed:+.2} rad/s against the set-point");
+        // The torque of a current has the sign of the cosine of the offset.
+        return Some(if known.is_field_oriented {
+            (
+                format!(
+                    "encoder reversed, or its offset to the phases is off by about half an electrical turn: {against}"
+                ),
+                "repeat the drive's detection of encoder offset and direction, or set the sign in the drive's profile",
+            )
+        } else {
+            (
+                format!("encoder reversed, or the armature's leads exchanged: {against}"),
+                "exchange A and B of the encoder, or the two leads of the armature, or set the sign in the drive's profile",
+            )
+        });
     }
     let Some(amps) = current else {
         return Some(match found.current_a {
@@ -182,12 +195,23 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
     let (torque, friction) = (plate.torque_n_m(amps), plate.friction_n_m);
     let with = format!("{torque:.3} N.m by the nameplate, whose friction is {friction:.3} N.m");
     Some(if amps.abs() > plate.turning_a() {
-        (
-            format!(
-                "the speed stays at {speed:+.2} rad/s although the current gives {with}: the shaft is held (locked, braked, or loaded far beyond the nameplate), or the encoder is dead"
-            ),
-            "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable",
-        )
+        let held = format!(
+            "the speed stays at {speed:+.2} rad/s although the current gives {with}: the shaft is held (locked, braked, or loaded far beyond the nameplate), or the encoder is dead"
+        );
+        // A quarter of a turn away a current gives no torque, and with two phases exchanged the field turns against the shaft.
+        if known.is_field_oriented {
+            (
+                format!(
+                    "{held}, or its offset to the phases is off by about a quarter of an electrical turn, or two phases are exchanged"
+                ),
+                "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable; repeat the drive's detection of the encoder offset",
+            )
+        } else {
+            (
+                held,
+                "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable",
+            )
+        }
     } else {
         (
             format!(
@@ -213,6 +237,8 @@ struct Ratio {
 }
 
 impl Ratio {
+    const BACK_EMF: &'static str = "back-EMF constant";
+
     /// The resistance; the voltage drop of brushes and bridge counts as winding.
     const fn resistance(nameplate: f64, interval: (f64, f64, f64)) -> Self {
         let plausible = belief::Range::new(Settings::ANY_FACTOR.low, 3.0);
@@ -222,7 +248,7 @@ impl Ratio {
     /// The flux of a specimen, cold or warm.
     const fn back_emf(nameplate: f64, interval: (f64, f64, f64)) -> Self {
         let plausible = Settings::FLUX_FACTOR;
-        Self { name: "back-EMF constant", unit: "V.s/rad", nameplate, plausible, interval }
+        Self { name: Self::BACK_EMF, unit: "V.s/rad", nameplate, plausible, interval }
     }
 
     fn text(&self) -> String {
@@ -249,13 +275,26 @@ impl Ratio {
         self.plausible.gap(belief::Range::new(self.interval.0, self.interval.2)) > 0.0
     }
 
-    fn refusal(&self) -> String {
+    fn refusal(&self, known: &Known<'_>) -> String {
         let belief::Range { low: least, high: most } = self.plausible;
-        format!(
-            "{}; {least} to {most} times is plausible; {}",
-            self.text(),
-            self.mistake_of_units()
-        )
+        let cause = self.pole_pairs(known).unwrap_or_else(|| self.mistake_of_units());
+        format!("{}; {least} to {most} times is plausible; {cause}", self.text())
+    }
+
+    /// The stored flux linkage agrees with the pulse and contradicts the nameplate: speed and constant are by pole pairs that the
+    /// motor has not.
+    fn pole_pairs(&self, known: &Known<'_>) -> Option<String> {
+        let stated =
+            known.by_flux_linkage.filter(|_| self.name == Self::BACK_EMF)? / self.nameplate;
+        let found = belief::Range::new(self.interval.0, self.interval.2);
+        let agrees = self.plausible.times(belief::Range::at(stated)).gap(found) <= 0.0;
+        let is_far = self.plausible.gap(belief::Range::at(stated)) > 0.0;
+        (agrees && is_far).then(|| {
+            format!(
+                "the flux linkage that the drive stores gives {stated:.2} times too, and the drive's pole pairs are in both: by the nameplate the motor has {:.3} times the pole pairs of the drive's configuration",
+                1.0 / stated
+            )
+        })
     }
 
     /// Which mistake of units would explain it.
@@ -443,7 +482,7 @@ pub(super) fn plausibility(
         for ratio in ratios(known, leg) {
             let text = ratio.text();
             if ratio.is_refused() && refusal.is_none() {
-                refusal = Some((ratio.refusal(), NAMEPLATE_HELP));
+                refusal = Some((ratio.refusal(known), NAMEPLATE_HELP));
             }
             texts.push(format!("{way} {text}"));
         }
@@ -485,6 +524,8 @@ pub(super) mod tests {
             noise_v: 0.02,
             signed_current: true,
             set_point: None,
+            is_field_oriented: false,
+            by_flux_linkage: None,
         }
     }
 
@@ -633,6 +674,8 @@ pub(super) mod tests {
     fn an_interval_is_refused_only_without_a_plausible_value() {
         let flux = |interval| Ratio::back_emf(1.0, interval);
         let winding = |interval| Ratio::resistance(1.0, interval);
+        let nameplate = Nameplate::zk_22fc();
+        let known = known_at_voltage(&nameplate);
         for ratio in [
             flux((0.0, 0.1, 0.3)),
             flux((0.0, 0.3, 0.68)),
@@ -643,7 +686,16 @@ pub(super) mod tests {
         ] {
             assert!(ratio.is_refused(), "{}", ratio.text());
             let words = if ratio.unit == "ohm" { "0.5 to 3" } else { "0.7 to 1.4" };
-            has(ratio.refusal(), &format!("{words} times is plausible"));
+            has(ratio.refusal(&known), &format!("{words} times is plausible"));
+        }
+        // Twice by the pulse: the stored flux linkage says the same, contradicts it, or there is none.
+        for (by_flux_linkage, words) in [
+            (Some(2.2), "the motor has 0.455 times the pole pairs"),
+            (Some(1.1), "no usual mistake of units"),
+            (None, "no usual mistake of units"),
+        ] {
+            let known = Known { by_flux_linkage, ..known };
+            has(flux((1.8, 2.0, 2.2)).refusal(&known), words);
         }
         for (ratio, is_undetermined) in [
             (flux((0.0, 0.4, 0.75)), false),

@@ -504,6 +504,50 @@ fn what_the_drive_states_of_its_motor_is_compared_with_the_nameplate() {
 }
 
 #[test]
+fn a_field_oriented_drive_is_checked_for_its_phases_and_pole_pairs() {
+    let profile = DriveProfile::named("vesc-foc").unwrap();
+    let text_of = DriveProfile::text("vesc-foc").unwrap();
+    // A drive that is configured for seven times the pole pairs of its motor.
+    let configured = text_of.replacen("scale = 0.5\n", "scale = 0.0714285714\n", 1);
+    let configured = DriveProfile::parse("vesc-foc", &configured).unwrap();
+    type Case<'a> = (&'a DriveProfile, fn(&mut FaultsConfig), &'a str, &'a str);
+    let cases: [Case<'_>; 4] = [
+        (&profile, |_| {}, "", ""),
+        (&profile, |faults| faults.encoder_reversed = true, "direction", "half an electrical turn"),
+        (&profile, |faults| faults.locked_rotor = true, "direction", "or two phases are exchanged"),
+        (
+            &configured,
+            |_| {},
+            "plausibility",
+            "gives 7.00 times too, and the drive's pole pairs are in both: by the nameplate the motor has 0.143 times",
+        ),
+    ];
+    for (far, fault, name, words) in cases {
+        let mut clock = VirtualClock::new();
+        let mut config = exact("zk-22fc-plain");
+        fault(&mut config.faults);
+        let guise = Guise::of(far).unwrap();
+        let mut link = open_line(Some(&guise), &config, 1, &profile, clock.clone()).unwrap();
+        let first = FirstMove { nameplate: &plain().0, profile: &profile, is_withheld: false };
+        let options = CheckOptions {
+            first_move: Some(first),
+            hardware_allowed: true,
+            hardware_confirmed: true,
+            ..options()
+        };
+        let report = check(link.as_mut(), &mut clock, &limits(), options).unwrap();
+        // Its time-out is proven by its flag.
+        within(report.watchdog_proven_s.unwrap(), 1.0..1.6);
+        link.stop().unwrap();
+        if words.is_empty() {
+            passes(&report);
+        } else {
+            refuses(&report, name, words);
+        }
+    }
+}
+
+#[test]
 fn a_right_set_point_passes_at_rest_and_in_the_pulse() {
     let mut host = Host::right();
     let report = host.check(false);
