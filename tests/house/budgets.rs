@@ -6,12 +6,12 @@ use std::fs;
 
 /// Folder and its budget of lines.
 const BUDGETS: &[(&str, usize)] = &[
-    ("crates/drivebench-bench", 28_630),
+    ("crates/drivebench-bench", 28_740),
     ("crates/drivebench-control", 6_310),
     ("crates/drivebench-diagnose", 23_030),
     ("crates/drivebench-emulator", 12_130),
     ("crates/drivebench-identify", 23_710),
-    ("crates/drivebench-link", 18_000),
+    ("crates/drivebench-link", 18_110),
     ("crates/drivebench-model", 17_350),
     ("crates/drivebench-studies", 10_120),
     ("firmware-protocol", 4_740),
