@@ -151,21 +151,20 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
         return None;
     }
     if moved {
-        let against = format!("the speed goes to {speed:+.2} rad/s against the set-point");
         // The torque of a current has the sign of the cosine of the offset.
-        return Some(if known.is_field_oriented {
+        let (cause, help) = if known.is_field_oriented {
             (
-                format!(
-                    "encoder reversed, or its offset to the phases is off by about half an electrical turn: {against}"
-                ),
+                "its offset to the phases is off by about half an electrical turn",
                 "repeat the drive's detection of encoder offset and direction, or set the sign in the drive's profile",
             )
         } else {
             (
-                format!("encoder reversed, or the armature's leads exchanged: {against}"),
+                "the armature's leads exchanged",
                 "exchange A and B of the encoder, or the two leads of the armature, or set the sign in the drive's profile",
             )
-        });
+        };
+        let against = format!("the speed goes to {speed:+.2} rad/s against the set-point");
+        return Some((format!("encoder reversed, or {cause}: {against}"), help));
     }
     let Some(amps) = current else {
         return Some(match found.current_a {
@@ -195,23 +194,18 @@ fn fault(known: &Known<'_>, direction: f64, found: &Extremes) -> Option<(String,
     let (torque, friction) = (plate.torque_n_m(amps), plate.friction_n_m);
     let with = format!("{torque:.3} N.m by the nameplate, whose friction is {friction:.3} N.m");
     Some(if amps.abs() > plate.turning_a() {
-        let held = format!(
-            "the speed stays at {speed:+.2} rad/s although the current gives {with}: the shaft is held (locked, braked, or loaded far beyond the nameplate), or the encoder is dead"
-        );
         // A quarter of a turn away a current gives no torque, and with two phases exchanged the field turns against the shaft.
-        if known.is_field_oriented {
-            (
-                format!(
-                    "{held}, or its offset to the phases is off by about a quarter of an electrical turn, or two phases are exchanged"
-                ),
-                "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable; repeat the drive's detection of the encoder offset",
-            )
+        let phases = if known.is_field_oriented {
+            ", or its offset to the phases is off by about a quarter of an electrical turn, or two phases are exchanged"
         } else {
-            (
-                held,
-                "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable",
-            )
-        }
+            ""
+        };
+        (
+            format!(
+                "the speed stays at {speed:+.2} rad/s although the current gives {with}: the shaft is held (locked, braked, or loaded far beyond the nameplate), or the encoder is dead{phases}"
+            ),
+            "turn the shaft by hand and watch the speed; check brake, load and the encoder's cable",
+        )
     } else {
         (
             format!(

@@ -505,12 +505,12 @@ fn what_the_drive_states_of_its_motor_is_compared_with_the_nameplate() {
 
 #[test]
 fn a_field_oriented_drive_is_checked_for_its_phases_and_pole_pairs() {
+    type Case<'a> = (&'a DriveProfile, fn(&mut FaultsConfig), &'a str, &'a str);
     let profile = DriveProfile::named("vesc-foc").unwrap();
     let text_of = DriveProfile::text("vesc-foc").unwrap();
     // A drive that is configured for seven times the pole pairs of its motor.
     let configured = text_of.replacen("scale = 0.5\n", "scale = 0.0714285714\n", 1);
     let configured = DriveProfile::parse("vesc-foc", &configured).unwrap();
-    type Case<'a> = (&'a DriveProfile, fn(&mut FaultsConfig), &'a str, &'a str);
     let cases: [Case<'_>; 4] = [
         (&profile, |_| {}, "", ""),
         (&profile, |faults| faults.encoder_reversed = true, "direction", "half an electrical turn"),
