@@ -80,8 +80,7 @@ struct DefinitionArguments {
 
 /// Refuses options that are given for an effect that they do not define.
 fn refuse(id: &str, options: &[(&str, bool)]) -> Result<(), Failure> {
-    let given = options.iter().find(|(_, given)| *given);
-    given.map_or(Ok(()), |(option, _)| {
+    options.iter().find(|(_, given)| *given).map_or(Ok(()), |(option, _)| {
         let headline = format!("{option} does not belong to effect {id:?}");
         Err(Failure::usage(headline, "see `drivebench add --help`"))
     })
@@ -195,8 +194,7 @@ fn run(
         ),
         None => ("removed", "the reason is on stdout: these runs need it"),
     };
-    let headline = format!("{} was not {done}", result.effect);
-    Err(Failure::with_help(REFUSED, headline, help))
+    Err(Failure::with_help(REFUSED, format!("{} was not {done}", result.effect), help))
 }
 
 /// The result, and the commands that follow; where no file was named, the new model above it.
@@ -331,11 +329,9 @@ mod tests {
     fn a_parameter_is_a_name_with_or_without_a_guess() {
         let empty = toml::Value::Table(toml::Table::new());
         assert_eq!(parameter("a").unwrap(), ("a".to_owned(), empty));
-        let known = parameter("ws = 1e1").unwrap();
-        assert_eq!(known, ("ws".to_owned(), 10.0.into()));
+        assert_eq!(parameter("ws = 1e1").unwrap(), ("ws".to_owned(), 10.0.into()));
         let (name, value) = parameter("c={ guess = 10, min = 1 }").unwrap();
-        let guess = value["guess"].as_integer();
-        assert_eq!((name.as_str(), guess), ("c", Some(10)));
+        assert_eq!((name.as_str(), value["guess"].as_integer()), ("c", Some(10)));
         assert!(parameter("a=b c").is_err());
     }
 

@@ -56,8 +56,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     output::refuse_existing(&arguments.csv, "--csv")?;
     output::refuse_existing(&arguments.svg, "--svg")?;
     if arguments.screen {
-        let help = "leave --screen out: the result is printed as text";
-        needs_terminal("--screen", help)?;
+        needs_terminal("--screen", "leave --screen out: the result is printed as text")?;
     }
     let attended = (terminal.endable()?, terminal.progress("bode"));
     let found = Bode::of(arguments, terminal)?;
@@ -244,8 +243,7 @@ impl Bode {
     /// The model and its largest departure; the smaller departures, for the full text.
     fn model_sentences(&self, shown: Pathway) -> (Vec<String>, Vec<String>) {
         let Some(from) = &self.model_from else {
-            let none = "none: give one with --model";
-            return (vec![none.to_owned()], Vec::new());
+            return (vec!["none: give one with --model".to_owned()], Vec::new());
         };
         let modes = self.compared.model.as_ref().map(|model| model.modes_of(shown));
         let modes: Vec<_> = modes.iter().flatten().map(Mode::text).collect();
@@ -260,8 +258,7 @@ impl Bode {
             ));
             return (sentences, Vec::new());
         }
-        let missing = self.compared.missing_resonances();
-        sentences.extend(missing.iter().map(|mode| {
+        sentences.extend(self.compared.missing_resonances().iter().map(|mode| {
             let at = significant(mode.frequency_hz, 3);
             format!("no resonance at {at} Hz: an elastic coupling would cause it")
         }));
@@ -297,15 +294,13 @@ impl Bode {
             let point = mode.map_or(points[points.len() / 2], |mode| {
                 let apart =
                     |point: &ResponsePoint| (point.frequency_hz / mode.frequency_hz).ln().abs();
-                let nearest = points.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)));
-                nearest.unwrap_or(&points[0])
+                points.iter().min_by(|a, b| apart(a).total_cmp(&apart(b))).unwrap_or(&points[0])
             });
             (point, mode)
         });
         let shown: Vec<(&ResponsePoint, Option<&Mode>)> = shown.collect();
         let decibel = |point: &ResponsePoint| 20.0 * point.magnitude.log10();
-        let least = shown.iter().map(|(point, _)| decibel(point));
-        let least = least.fold(f64::INFINITY, f64::min);
+        let least = shown.iter().map(|(point, _)| decibel(point)).fold(f64::INFINITY, f64::min);
         let bars = shown.into_iter().map(|(point, mode)| {
             let mode = mode.map_or_else(String::new, |mode| {
                 let apart = (point.frequency_hz / mode.frequency_hz).ln().abs();

@@ -414,8 +414,7 @@ mod tests {
                 assert_eq!(now().diagnosis.unwrap().effect, Some("quadratic_load"));
             }
         }
-        let between = between.into_inner().unwrap().unwrap();
-        let heading = between.heading();
+        let heading = between.into_inner().unwrap().unwrap().heading();
         assert!(heading.starts_with("+ quadratic_load: held-out error "), "{heading}");
         assert!(heading.contains("without the last change"), "{heading}");
         let last = now();

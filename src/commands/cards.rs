@@ -159,8 +159,7 @@ pub(crate) fn speed_loop(done: &SpeedDone) -> Document {
         ("cycles without a speed, output held", report.held_cycles.to_string()),
     ];
     document.facts(facts.map(|(label, value)| (label.to_owned(), value)).into());
-    let other = changed_parameters(&done.motor, &summary.estimates);
-    document.say("machine", other, 2);
+    document.say("machine", changed_parameters(&done.motor, &summary.estimates), 2);
     document.table_on_card("tracking", tracking(report), &["reference followed"], 2);
     document.say("", reduced_gain_text(report), 1);
     let mut all = steps_text(report);
@@ -210,8 +209,7 @@ fn steps(report: &SpeedReport) -> Table {
         .column("overshoot, %", |step| fixed(step.response.overshoot_percent, 1))
         .column("settling, s", |step| {
             let none = if step.settles_in_noise { "in noise" } else { "never" };
-            let settling = step.response.settling_s.map(|s| fixed(s, 3));
-            settling.unwrap_or_else(|| none.to_owned())
+            step.response.settling_s.map(|s| fixed(s, 3)).unwrap_or_else(|| none.to_owned())
         })
         .column("IAE, rad", |step| fixed(step.response.absolute_error_rad, 2))
         .column("peak output", |step| format!("{} {unit}", fixed(step.peak_output, 1)))
@@ -242,8 +240,7 @@ pub(crate) fn speed(done: &SpeedDone, options: &str) -> Document {
 /// Parameters that differ from those that the loop was tuned on; for an inertia that has changed, the present estimate.
 fn changed_parameters(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<String> {
     let compared = nameplate::compare(tuned_on, found);
-    let rows = compared.rows.iter().filter(|row| row.fits == Fits::No);
-    let sentences = rows.filter_map(|row| {
+    let sentences = compared.rows.iter().filter(|row| row.fits == Fits::No).filter_map(|row| {
         let estimate = ParameterEstimate::find(found, row.key)?;
         let reason = estimate.reason.as_deref().unwrap_or_default();
         let has_changed = estimate.code == Some(Reason::InertiaChanged);
@@ -264,8 +261,7 @@ fn changed_parameters(tuned_on: &Motor, found: &[ParameterEstimate]) -> Vec<Stri
 fn reduced_gain_text(report: &SpeedReport) -> Option<String> {
     let least_gain = |pass: &Tracking| {
         let inside = |found: &&Watched| (pass.from_s..pass.until_s).contains(&found.time_s);
-        let shares = report.watch.iter().filter(inside).map(|found| found.gain_share);
-        shares.fold(1.0, f64::min)
+        report.watch.iter().filter(inside).map(|found| found.gain_share).fold(1.0, f64::min)
     };
     let shares: Vec<f64> = report.tracking.iter().map(least_gain).collect();
     let is_reduced = shares.len() > 1 && shares.iter().any(|share| *share < 1.0);

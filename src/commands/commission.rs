@@ -188,8 +188,7 @@ fn commission(
         found.put("found by", &mut document);
     }
     let burst = result.burst.as_ref().map(BurstResult::text);
-    let samples = burst.as_ref().and_then(|text| text.lines().next());
-    document.say("burst", samples, 0);
+    document.say("burst", burst.as_ref().and_then(|text| text.lines().next()), 0);
     tables::nameplate_section(&mut document, result.nameplate.as_ref());
     go_on(&mut document, &result, &rig, &records);
     let mut progress = workflow.progress();
@@ -474,8 +473,7 @@ fn experiment(
     })?;
     let mut recorded = match ended.work {
         RunDone::NotFound(result) => {
-            let failure = escalation_failure(&result);
-            return Err(failure.unwrap_or_else(|| {
+            return Err(escalation_failure(&result).unwrap_or_else(|| {
                 Failure::internal("no motor was found, and no reason is given")
             }));
         }

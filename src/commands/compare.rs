@@ -83,8 +83,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let is_whole = arguments.html.is_some() || (arguments.form.full && !arguments.form.json);
     let mut document = pages::comparison(&prepared, &comparison, is_whole)?;
     pages::write(&mut document, arguments.html.as_deref(), terminal)?;
-    let given = arguments.model.first().map(PathBuf::as_path);
-    document.go_on(evidence.diagnose(run, given));
+    document.go_on(evidence.diagnose(run, arguments.model.first().map(PathBuf::as_path)));
     let mut value = prepared.result(&json::comparison(&comparison));
     value["model"] = from.into();
     value["refitted"] = judged.refitted.into();

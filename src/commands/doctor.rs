@@ -129,8 +129,7 @@ fn units(text: &str) -> Result<(u8, u8), String> {
 
 fn port_text(port: &SerialPortInfo) -> String {
     let mut text = format!("{}\n", port.path.display());
-    let by_id = port.by_id.iter().map(|name| name.display());
-    lines(&mut text, "  stable name  ", by_id);
+    lines(&mut text, "  stable name  ", port.by_id.iter().map(|name| name.display()));
     if let Some(usb) = &port.usb {
         let names = [&usb.manufacturer, &usb.product].map(|name| name.as_deref());
         let names = names.map(Option::unwrap_or_default).join(" ");

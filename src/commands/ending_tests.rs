@@ -172,8 +172,7 @@ fn recorded(done: Result<RunDone, Failure>) -> Recorded {
 #[test]
 fn a_bench_that_panics_stops_its_drive_with_status_6() {
     let bench = VirtualBench::new();
-    let work = bench.work(|| panic!("on purpose"));
-    let failure = headless(work).map(|_| ()).unwrap_err();
+    let failure = headless(bench.work(|| panic!("on purpose"))).map(|_| ()).unwrap_err();
     assert_eq!(failure.status, INTERNAL);
     let headline = failure.headline();
     assert!(headline.contains("(on purpose)"), "{headline}");
@@ -269,8 +268,7 @@ fn a_screen_that_does_not_return_is_abandoned() {
             thread::sleep(Duration::from_secs(1));
         }
     };
-    let shown = watched(stuck, || (), || true);
-    assert!(matches!(shown, Ok(ScreenReturn::Failed(_))));
+    assert!(matches!(watched(stuck, || (), || true), Ok(ScreenReturn::Failed(_))));
 }
 
 #[test]

@@ -93,8 +93,7 @@ pub(crate) fn model(
 ) -> Result<ChosenModel, Failure> {
     let is_requested = path.is_some_and(|path| path == Path::new(BASELINE) && !path.exists());
     let in_folder = run.folder.as_ref().map(|folder| folder.join("model.toml"));
-    let in_folder = in_folder.filter(|file| file.exists());
-    let path = path.map(Path::to_owned).or(in_folder);
+    let path = path.map(Path::to_owned).or(in_folder.filter(|file| file.exists()));
     let Some(path) = path.filter(|_| !is_requested) else {
         let given = if is_requested { "" } else { "no model given: " };
         terminal.message(&format!("{given}the five-parameter baseline is fitted to the run first"));
@@ -195,17 +194,14 @@ impl About {
         confirm: Option<&Path>,
         part: &str,
     ) -> Self {
-        let name = |path: &Path| {
-            let last = path.file_name().unwrap_or_default();
-            last.to_string_lossy().into_owned()
-        };
+        let name =
+            |path: &Path| path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let judged_by = holdout.map_or_else(
             || format!("{part} held out"),
             |holdout| format!("held out {}", name(holdout)),
         );
         let later = later.iter().map(|path| path.as_path());
-        let fitted = std::iter::once(run).chain(later.clone());
-        let fitted: Vec<String> = fitted.map(name).collect();
+        let fitted: Vec<String> = std::iter::once(run).chain(later.clone()).map(name).collect();
         let used = [Some(run), holdout, confirm].into_iter().flatten();
         Self {
             title: format!("{}, {judged_by}", fitted.join(" and ")),
@@ -529,8 +525,7 @@ pub(crate) fn was_fitted_on(
 fn is_same(recorded: &Path, path: &Path) -> bool {
     let folder = |path: &Path| {
         let is_samples = path.file_name().is_some_and(|name| name == "samples.csv");
-        let parent = path.parent().filter(|_| is_samples);
-        parent.unwrap_or(path).to_owned()
+        path.parent().filter(|_| is_samples).unwrap_or(path).to_owned()
     };
     match (recorded.canonicalize(), path.canonicalize()) {
         (Ok(recorded), Ok(path)) => folder(&recorded) == folder(&path),
@@ -595,8 +590,7 @@ pub(crate) fn cautions(run: &Run, scenario: &Scenario) -> Vec<String> {
     }
     let times = &scenario.sample_time_s;
     let period_s = (times[times.len() - 1] - times[0]) / (times.len() - 1) as f64;
-    let pairs = times.windows(2);
-    let longest = pairs.max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    let longest = times.windows(2).max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
     if let Some([from_s, to_s]) = longest
         && whole
         && to_s - from_s > f64::max(50.0 * period_s, 0.2)
@@ -826,8 +820,7 @@ fn drive_limit_a(prepared: &Prepared) -> Option<f64> {
 
 /// Rows per second, as a whole number for a bench file.
 fn rate_hz(run: &Scenario) -> f64 {
-    let pairs = run.sample_time_s.windows(2);
-    let periods: Vec<f64> = pairs.map(|pair| pair[1] - pair[0]).collect();
+    let periods: Vec<f64> = run.sample_time_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
     (1.0 / median(&periods)).round()
 }
 

@@ -25,8 +25,7 @@ fn a_later_run_that_cannot_be_judged_is_refused() {
     let (kept, notes) = later(&record(&model, 2), &whole).unwrap();
     assert!(kept.samples() == fitted.samples() && notes.is_empty(), "{notes:?}");
     let refused = |admitted: Result<(Scenario, Vec<String>), Failure>| {
-        let failure = admitted.err().unwrap();
-        failure.headline().to_owned()
+        admitted.err().unwrap().headline().to_owned()
     };
     // The samples of the fitted run itself; and the beginning of a run that ended early.
     let headline = refused(later(&fitted, &whole));

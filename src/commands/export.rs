@@ -211,8 +211,7 @@ fn regulator(file: &ModelFile, path: &Path, limit_v: f64) -> Result<Regulator, F
     if !(limit_v.is_finite() && limit_v > 0.0) {
         let headline =
             format!("--limit-v {limit_v} is not allowed (expected a number of volts above 0)");
-        let help = "the largest voltage that may be commanded";
-        return Err(Failure::usage(headline, help));
+        return Err(Failure::usage(headline, "the largest voltage that may be commanded"));
     }
     let kept = KeptGains::read(path, &file.model)?;
     let viscous = viscous_n_m_s_per_rad(&file.model, Actuator::Voltage)?;

@@ -204,8 +204,7 @@ fn effects_of(name: &str, text: &str) -> Option<Vec<String>> {
     // Any table parses as an empty model.
     let has_motor = text.lines().any(|line| line.trim() == "[motor]");
     let file = ModelFile::parse(name, text).ok().filter(|_| has_motor)?;
-    let ids = file.model.effect_ids().into_iter();
-    Some(ids.map(str::to_owned).collect())
+    Some(file.model.effect_ids().into_iter().map(str::to_owned).collect())
 }
 
 #[cfg(test)]

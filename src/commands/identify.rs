@@ -291,8 +291,7 @@ pub(crate) struct Answer {
 impl Answer {
     /// Misfit of the joint fit, else that of the first run.
     pub(crate) fn misfit(&self) -> Option<&Misfit> {
-        let first = self.runs.first().map(|run| &run.found);
-        self.joint.as_ref().or(first)?.misfit.as_ref()
+        self.joint.as_ref().or(self.runs.first().map(|run| &run.found))?.misfit.as_ref()
     }
 
     /// For the model file, `--require` and the exit status: usable absolute values replace relative ones.
@@ -395,8 +394,7 @@ fn judged(scheme: &Scheme, data: &Data<'_>, findings: &[Finding]) -> Result<Iden
             open.code = Some(Reason::FaultyData);
         }
     }
-    let limits = claims::limit(&mut found.parameters, run, scenario);
-    found.notes.extend(limits);
+    found.notes.extend(claims::limit(&mut found.parameters, run, scenario));
     found.notes.extend(lost_rows::find(run, scenario).as_ref().map(record::lost_rows));
     found.notes.extend(record::unconfirmed(scenario));
     Ok(temperature::complete(found, run, scenario))
@@ -515,10 +513,7 @@ fn keyed<'a, T: Serialize + 'a>(
     entries: impl Iterator<Item = (&'a str, &'a T)>,
 ) -> Map<String, Value> {
     entries
-        .map(|(key, value)| {
-            let value = serde_json::to_value(value).unwrap_or_default();
-            (key.to_owned(), value)
-        })
+        .map(|(key, value)| (key.to_owned(), serde_json::to_value(value).unwrap_or_default()))
         .collect()
 }
 

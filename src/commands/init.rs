@@ -208,8 +208,7 @@ mod tests {
     fn a_nameplate_may_have_the_header_of_its_section() {
         let plain = include_str!("../../bench-configs/motors/zk-22fc.toml");
         let bare = nameplate("m.toml", plain).unwrap();
-        let headed = nameplate("m.toml", &format!("[motor]\n{plain}")).unwrap();
-        assert_eq!(headed, bare);
+        assert_eq!(nameplate("m.toml", &format!("[motor]\n{plain}")).unwrap(), bare);
         let error =
             nameplate("m.toml", "[motor]\nname = \"x\"\nrated_speed_rpm = 3000").unwrap_err();
         assert!(error.help.contains("0.10472"), "{}", error.help);

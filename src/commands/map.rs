@@ -135,8 +135,7 @@ fn document(arguments: &Arguments, found: &Preview, proposal: &Proposal) -> Docu
             format!("{confidence}{}: {}={}", hole.unwrap_or_default(), item.target, item.source);
         let doubts = item.doubts.iter().map(|doubt| format!("but {}", columns::doubt(doubt)));
         let all = [head, columns::all(&item.reasons)].into_iter().chain(doubts);
-        let label = item.target.split('_').next().unwrap_or_default();
-        document.say(label, all, 1);
+        document.say(item.target.split('_').next().unwrap_or_default(), all, 1);
     }
     document.say("fill in", proposal.holes().map(|hole| format!("{}: {}", hole.name, hole.how)), 1);
     document.say("missing", proposal.missing.iter().map(columns::missing), 1);

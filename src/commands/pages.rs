@@ -119,8 +119,7 @@ pub(crate) fn commission(
     }
     let diagnosis = &result.diagnosis;
     let nameplate = Model::baseline(rig.nameplate_motor.clone());
-    let noise = &diagnosis.model.noise;
-    let (series, curves) = shown_on(diagnosis, scenarios.get(2), noise)?;
+    let (series, curves) = shown_on(diagnosis, scenarios.get(2), &diagnosis.model.noise)?;
     let truth: Vec<String> = result.truth.iter().map(Truth::sentence).collect();
     let report = CommissionReport {
         kind: "Commission",
@@ -159,8 +158,7 @@ pub(crate) fn diagnosis(
     let shown = Some(shown).filter(|_| is_electrical && is_whole);
     let (series, curves) = shown_on(found, shown, &evidence.noise)?;
     let confirm = evidence.confirm.as_ref().filter(|_| is_electrical);
-    let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise));
-    let confirm = confirm.transpose()?;
+    let confirm = confirm.map(|run| found.rungs_on(run, &evidence.noise)).transpose()?;
     let report = CommissionReport {
         kind: "Diagnosis",
         title: &prepared.about.title,

@@ -40,8 +40,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         Forecast::Unknown(_) => None,
     };
     refusal.map_or(Ok(()), |refusal| {
-        let headline = format!("plan refused: {refusal}");
-        Err(Failure::usage(headline, refusal.help()))
+        Err(Failure::usage(format!("plan refused: {refusal}"), refusal.help()))
     })
 }
 
@@ -230,8 +229,7 @@ fn forecast(file: &str, source: &str) -> Result<Forecast, Failure> {
         Port::Emulator | Port::Sim | Port::SimRtu | Port::Serial(_) => LineBudget::of(&profile),
     };
     let requested_hz = bench.link.rate_hz;
-    let allowed_hz = line.as_ref().map_or(requested_hz, LineBudget::rate_hz);
-    let rate_hz = requested_hz.min(allowed_hz);
+    let rate_hz = requested_hz.min(line.as_ref().map_or(requested_hz, LineBudget::rate_hz));
     let mut warnings: Vec<String> =
         silence_warning(&bench, &profile, line.is_some()).into_iter().collect();
     // Without its friction a motor is still known well enough for a prediction; with less it is not.

@@ -186,8 +186,7 @@ fn signal_text(signal: &ProbedSignal) -> String {
         |cells| {
             // A register has two bytes, another cell one.
             let digits = if matches!(signal.table, "byte" | "field" | "reply") { 2 } else { 4 };
-            let cells = cells.iter().map(|cell| format!("{cell:0digits$x}"));
-            cells.collect::<Vec<_>>().join(" ")
+            cells.iter().map(|cell| format!("{cell:0digits$x}")).collect::<Vec<_>>().join(" ")
         },
     );
     let judgement = match (signal.plausible, &signal.missing, signal.expected) {

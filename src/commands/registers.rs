@@ -145,8 +145,7 @@ impl Span {
     }
 
     fn text(&self) -> String {
-        let notation = self.address.notation.clone();
-        notation.unwrap_or_else(|| self.address.number.to_string())
+        self.address.notation.clone().unwrap_or_else(|| self.address.number.to_string())
     }
 }
 

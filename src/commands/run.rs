@@ -183,8 +183,7 @@ fn connect(
     let mut rig = Rig::open(options, run_seed, purpose)?;
     let checks = rig.check(controls, true)?;
     let seed = run_seed.unwrap_or(rig.bench.runs.fit);
-    let is_known = rig.bench.nameplate().is_some();
-    let plan = is_known.then(|| rig.plan(seed)).transpose()?;
+    let plan = rig.bench.nameplate().is_some().then(|| rig.plan(seed)).transpose()?;
     Ok(Connection {
         link: rig.connection.link.name().to_string(),
         profile: rig.profile.provenance(),

@@ -53,12 +53,10 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
         (Channel::Speed, trajectory.speed_rad_s, Origin::Estimated),
     ];
     if scenario.input_channel != Channel::Current {
-        let current = (Channel::Current, trajectory.current_a, Origin::Estimated);
-        columns.insert(1, current);
+        columns.insert(1, (Channel::Current, trajectory.current_a, Origin::Estimated));
     }
     for (channel, values, origin) in columns {
-        let set = run.set_column(channel, values, origin);
-        set.map_err(internal)?;
+        run.set_column(channel, values, origin).map_err(internal)?;
     }
     let mut csv = write_run(&run);
     if arguments.measured {

@@ -171,8 +171,7 @@ impl TuneResult {
         // Sixteen lines of the predicted step response.
         let shown_s = 2.0 * response.settling_s.unwrap_or(1.0).max(0.01);
         let last = self.step.partition_point(|point| point.time_s <= shown_s).max(2);
-        let points = (0..16).map(|n| &self.step[n * (last - 1) / 15]);
-        let bars = points.map(|point| {
+        let bars = (0..16).map(|n| &self.step[n * (last - 1) / 15]).map(|point| {
             let (time_s, speed) = (point.time_s, point.speed);
             let band = point
                 .low

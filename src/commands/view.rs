@@ -28,8 +28,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
-    let help = "`drivebench compare RUN` prints the same as text";
-    needs_terminal("view", help)?;
+    needs_terminal("view", "`drivebench compare RUN` prints the same as text")?;
     let attended = (terminal.endable()?, terminal.progress("view"));
     let model = arguments.model.as_deref();
     let (run, judging) = (&arguments.run, Judging::of(model));
@@ -51,8 +50,7 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     if std::io::stdout().is_terminal() {
         return Ok(());
     }
-    let headline = format!("{what}: standard output is not a terminal");
-    Err(Failure::usage(headline, help))
+    Err(Failure::usage(format!("{what}: standard output is not a terminal"), help))
 }
 
 /// Shows the complete model beside its runs until the screen is left.

@@ -61,8 +61,7 @@ impl ComparisonReport<'_> {
             (Tone::Attention, "Above the noise floor", rest)
         };
         let error = fixed(found.holdout_rmse, 2);
-        let sentence = format!("On {from} the error is {error} times {rest}");
-        (tone, verdict, sentence)
+        (tone, verdict, format!("On {from} the error is {error} times {rest}"))
     }
 
     pub fn document(&self) -> Document {
@@ -183,8 +182,7 @@ pub fn change_document(result: &AddResult) -> Document {
     // Cause and remedy are those of an effect that was added without force.
     let is_found = result.accepted && !result.forced && result.fit.model.has(result.effect);
     let mut document = Document::of(tone, verdict, change::change(result));
-    let ladder = result.ladder.iter().zip(["before", "after"]);
-    let ladder = ladder.map(|(rung, name)| {
+    let ladder = result.ladder.iter().zip(["before", "after"]).map(|(rung, name)| {
         let error = rung.holdout_rmse;
         (name.to_owned(), error, fixed(error, 2))
     });
@@ -321,8 +319,7 @@ pub(super) fn places(document: &mut Document, comparisons: &[Named<'_>]) {
         let sentence = location::failure(comparison);
         let model = label_of(comparisons, label);
         say("where", vec![format!("{model}{sentence}{in_r_min}")], 1);
-        let places = places.iter().take(4);
-        say("", places.map(self::place).collect(), 0);
+        say("", places.iter().take(4).map(self::place).collect(), 0);
         let balances = comparison.balances.iter();
         say(
             "balance",

@@ -18,8 +18,7 @@ const MOST_CURVES: usize = 3;
 
 /// Card and curve of each effect that was named; where none was, the curve of the error.
 pub(super) fn effects(document: &mut Document, diagnosis: &Diagnosis, curves: &[EffectCurve]) {
-    let named = diagnosis.effects.iter();
-    let named: Vec<_> = named.filter_map(|id| effect::find(id)).collect();
+    let named: Vec<_> = diagnosis.effects.iter().filter_map(|id| effect::find(id)).collect();
     if named.is_empty() {
         document.section("Errors of the equations");
         curves.iter().take(1).for_each(|curve| effect_curve(document, curve));
@@ -139,8 +138,7 @@ pub fn open_questions(
     document.labelled("rival", pairs.map(|[one, other]| not_distinguished(one, other)));
     document.labelled("limit", diagnosis.limits.iter().map(limits::limit));
     document.labelled("by no run", diagnosis.equivalences.iter().copied());
-    let curves = diagnosis.axis_map.iter().map(location::axis_map);
-    document.labelled("the error", curves);
+    document.labelled("the error", diagnosis.axis_map.iter().map(location::axis_map));
     next_run(&mut document, next);
     let is_empty =
         document.blocks.is_empty().then_some("none is needed: no further run would show more");

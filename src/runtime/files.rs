@@ -152,8 +152,7 @@ pub(crate) fn estimates(parameters: &Value) -> Vec<ParameterEstimate> {
 
 fn unit_of_effect(key: &str) -> Option<&'static str> {
     let (id, key) = key.split_once('.')?;
-    let parameters = effect::find(id)?.parameters();
-    parameters.iter().find(|spec| spec.key == key).map(|spec| spec.unit)
+    effect::find(id)?.parameters().iter().find(|spec| spec.key == key).map(|spec| spec.unit)
 }
 
 /// The model of a fit as a file: what it was fitted on, and its rungs after those of the model before it.
@@ -328,8 +327,7 @@ impl Recorded {
         file: RunFile,
         content: &(impl AsRef<[u8]> + ?Sized),
     ) -> Option<PathBuf> {
-        let written = self.folder.write(file, content);
-        self.kept(written)
+        self.kept(self.folder.write(file, content))
     }
 
     /// Writes the burst that the drive recorded to the run folder, as a run for every command.
@@ -342,8 +340,7 @@ impl Recorded {
             Err(error) => return self.terminal.message(&format!("burst not used: {error}")),
         };
         let (rows, rate_hz) = (run.rows(), 1.0 / capture.period_s);
-        let written = self.folder.write_capture(&write_run(&run));
-        self.capture = self.kept(written);
+        self.capture = self.kept(self.folder.write_capture(&write_run(&run)));
         if let Some(path) = &self.capture {
             let path = path.display();
             self.terminal

@@ -223,8 +223,7 @@ impl Terminal {
             return self.json(value);
         }
         let text = if form.full {
-            let rows = document.full(columns());
-            rows.iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
+            document.full(columns()).iter().map(Row::to_string).collect::<Vec<_>>().join("\n")
         } else {
             document.card(columns())
         };
@@ -325,8 +324,7 @@ pub(crate) fn cannot_read(path: &Path, error: &std::io::Error) -> Failure {
 
 pub(crate) fn cannot_write(path: &Path, error: &std::io::Error) -> Failure {
     let headline = format!("{}: cannot write: {error}", path.display());
-    let help = "name a file that does not exist yet, in a folder that does";
-    Failure::usage(headline, help)
+    Failure::usage(headline, "name a file that does not exist yet, in a folder that does")
 }
 
 #[cfg(test)]

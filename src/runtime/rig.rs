@@ -325,8 +325,7 @@ impl Rig {
         let plan = plan_run(&self.bench, seed, &nameplate, rate_hz, limit_a)
             .map_err(|error| failed_plan(&self.bench.name, error))?;
         if let Some(refusal) = plan.refusals.first() {
-            let headline = format!("plan refused: {refusal}");
-            return Err(Failure::usage(headline, refusal.help()));
+            return Err(Failure::usage(format!("plan refused: {refusal}"), refusal.help()));
         }
         Ok(plan)
     }
@@ -401,8 +400,7 @@ impl Rig {
         let rate_hz = self.bench.link.rate_hz;
         self.energises(controls, 0.0);
         let (link, clock) = (self.connection.link.as_mut(), self.connection.clock.as_mut());
-        let measured = measure_delay(link, clock, rate_hz, self.last_seq);
-        let (delay, last_seq) = measured?;
+        let (delay, last_seq) = measure_delay(link, clock, rate_hz, self.last_seq)?;
         self.is_confirmed_off();
         self.last_seq = last_seq;
         Ok(delay)
@@ -417,8 +415,7 @@ impl Rig {
         controls: &Controls,
     ) -> Result<Recorded, Failure> {
         let motor = self.nameplate()?;
-        let guard = self.guard(&motor);
-        let session = Session::new(Box::new(pilot), guard);
+        let session = Session::new(Box::new(pilot), self.guard(&motor));
         let run = Planned { speed: Some(about), ..Planned::of(session, Some(motor)) };
         self.record_session(name, self.bench.runs.fit, run, controls)
     }
@@ -474,8 +471,7 @@ impl Rig {
             layout = layout.without_host_time();
         }
         let known = OnlineConfig::from_model(&Model::baseline(self.bench.motor.motor()));
-        let registers = self.profile.registers.as_ref();
-        let sensors = registers.map_or(known.sensors, |map| map.sensors());
+        let sensors = self.profile.registers.as_ref().map_or(known.sensors, |map| map.sensors());
         let config = OnlineConfig { sensors, ..known };
         manifest
             .configs

@@ -120,8 +120,7 @@ pub(crate) fn end_run_by_signals(ends: Ends) -> Result<(), Failure> {
     }
     // This thread, and each that it begins, may write to a terminal that another program has. The kernel lets only those who
     // block its signals: a write under a mere handler would begin again for ever.
-    let halting = SigSet::from_iter([Signal::SIGTTIN, Signal::SIGTTOU]);
-    halting.thread_block().map_err(cannot_watch)?;
+    SigSet::from_iter([Signal::SIGTTIN, Signal::SIGTTOU]).thread_block().map_err(cannot_watch)?;
     let all = [&ENDINGS[..], &LIVE, OF_SYSTEM].concat();
     spawn(&all, move |signal| match signal {
         SIGHUP | SIGPIPE => ends.hang_up(),

@@ -211,8 +211,7 @@ fn help_lines(on: On, meanings: &[&str], width: usize) -> Vec<Line<'static>> {
     }
     lines.push(Line::default());
     for meaning in meanings {
-        let rows = labelled(" ", meaning, width.saturating_sub(2));
-        lines.extend(rows.map(|(mark, text)| {
+        lines.extend(labelled(" ", meaning, width.saturating_sub(2)).map(|(mark, text)| {
             let indent = if mark.is_empty() { "   " } else { mark };
             Line::raw(format!("{indent}{text}"))
         }));

@@ -288,8 +288,7 @@ impl Discovery {
         }
         let samples = self.evidence.holdout.samples().max(1);
         // Each curve is a simulation of the run.
-        let room = (1_000_000 / samples).clamp(1, 8);
-        let ids = ids.into_iter().take(room).map(Some);
+        let ids = ids.into_iter().take((1_000_000 / samples).clamp(1, 8)).map(Some);
         // For events, the first run without the later ones.
         let effects = diagnosis.model.model.effect_ids();
         let (evidence, _) = self.evidence.fitted_with(&effects);

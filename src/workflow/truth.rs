@@ -161,8 +161,7 @@ mod tests {
     fn a_size_without_a_unit_has_none_and_may_be_not_found() {
         let ratio = hidden("load_dependent_friction");
         let text = |found: Option<f64>| sizes([&ratio], |_, _| found)[0].text();
-        let value = ratio.parameters[0].value;
-        let lines = [text(None), text(Some(0.9 * value))];
+        let lines = [text(None), text(Some(0.9 * ratio.parameters[0].value))];
         assert!(lines[0].starts_with("ratio: true 0."));
         assert!(lines[0].ends_with(", not found"), "{}", lines[0]);
         assert!(lines[1].ends_with(" (-10.0 %)"), "{}", lines[1]);

@@ -215,8 +215,7 @@ fn a_nameplate_far_off_changes_nothing() {
         let trajectory = Trajectory::random(FIRST_MOTOR + 1000 + motor, sampling, SECONDS);
         let mut nameplate = Motor::new("nameplate");
         for (key, truth) in KEYS.iter().zip(trajectory.truth) {
-            let factor = rng.random_range(0.3_f64.ln()..3_f64.ln()).exp();
-            nameplate.set(*key, truth * factor);
+            nameplate.set(*key, truth * rng.random_range(0.3_f64.ln()..3_f64.ln()).exp());
         }
         let config = OnlineConfig::from_model(&Model::baseline(nameplate));
         assert!(config.start.is_some());

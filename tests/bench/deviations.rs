@@ -108,8 +108,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
     for place in 0..machines[0].len() {
         let key = &machines[0][place].0;
         let [free, identified, added] = [0, 1, 2].map(|way: usize| {
-            let told = machines.iter().map(|machine| machine[place].1[way]);
-            told.collect::<Vec<Told>>()
+            machines.iter().map(|machine| machine[place].1[way]).collect::<Vec<Told>>()
         });
         for (way, told) in [("free run alone", &free), ("identify", &identified), ("add", &added)] {
             let (one, two) = (held(told, 1.0), held(told, 1.96));
@@ -124,8 +123,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
         let share = held(&added, 1.96);
         let least = LEAST_OF_ONE - tolerance(LEAST_OF_ONE, added.len());
         assert!(share >= least, "{id} {key}: {share}, {least} is the least");
-        let pairs = identified.iter().zip(&added);
-        let alike = pairs.filter(|(one, other)| {
+        let alike = identified.iter().zip(&added).filter(|(one, other)| {
             (one.error - other.error).abs() < APART * other.std
                 && WIDER.contains(&(one.std / other.std))
         });
@@ -143,8 +141,7 @@ fn judged(id: &str) -> Vec<(String, f64)> {
     let [least, most] = OF_ALL_WITHIN_ONE;
     let chance = tolerance(0.68, of_all.len());
     assert!((least - chance..most + chance).contains(&one), "{id} {one}");
-    let least = LEAST_OF_ALL - tolerance(LEAST_OF_ALL, of_all.len());
-    assert!(two >= least, "{id} {two}");
+    assert!(two >= LEAST_OF_ALL - tolerance(LEAST_OF_ALL, of_all.len()), "{id} {two}");
     of_free_run
 }
 

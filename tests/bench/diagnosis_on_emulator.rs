@@ -81,8 +81,7 @@ impl Specimen {
         for (channel, origin) in
             [(Channel::VoltageCmd, Origin::Commanded), (Channel::Voltage, Origin::Measured)]
         {
-            let cells = run.column(channel).unwrap().to_vec();
-            run.set_column(channel, cells, origin).unwrap();
+            run.set_column(channel, run.column(channel).unwrap().to_vec(), origin).unwrap();
         }
         Scenario::from_run(&run).unwrap()
     }
@@ -153,8 +152,7 @@ fn a_start_so_late_that_the_drive_comes_to_its_current_limit() {
         let [fit, holdout] = record(&config, seed, &[1, 2]).try_into().unwrap();
         assert!(!fit.limits.is_empty() && !holdout.limits.is_empty());
         let nameplate = Model::baseline(BenchFile::embedded_default().motor.motor());
-        let evidence = Evidence::new(fit, Some(holdout), None);
-        let found = diagnose(&nameplate, evidence).unwrap();
+        let found = diagnose(&nameplate, Evidence::new(fit, Some(holdout), None)).unwrap();
         assert_eq!(found.effects, ["start_delay"], "{}", sentence(&found));
         let found_s = found.candidates[0].parameters[0].value.unwrap();
         assert!((found_s - delay_s).abs() < 2e-3, "{found_s} {delay_s}");

@@ -279,8 +279,7 @@ mod simulated {
             assert_eq!(found.effect, Some(id), "{}", sentence(&found));
             let confirm = found.confirm.unwrap();
             let falls = confirm.error_after.unwrap() < confirm.error_before.unwrap();
-            let expected = (Some(holds), holds);
-            assert_eq!((confirm.confirmed, falls), expected, "{confirm:?}");
+            assert_eq!((confirm.confirmed, falls), (Some(holds), holds), "{confirm:?}");
         }
     }
 
@@ -624,8 +623,7 @@ mod real {
         assert_ne!(status(&found, "stribeck_friction"), Status::Supported);
         let added = add(find("asymmetric_viscous"), &model, &data);
         let error = |side: &Comparison, method| {
-            let torque = side.signals.torque_n_m.as_ref().unwrap();
-            let under = torque.under(method).unwrap();
+            let under = side.signals.torque_n_m.as_ref().unwrap().under(method).unwrap();
             under.whole_run_relative_error_percent.unwrap()
         };
         // The study's figures. In the weak form it took the position itself, whose second-derivative weights do not sum to

@@ -20,8 +20,7 @@ steps = { levels_v = [20.0, 60.0, 35.0, 80.0, 50.0], hold_s = 0.5 }
 const MOST_RUNS: u64 = 3;
 
 fn unseen(diagnosis: &Diagnosis) -> Vec<&'static str> {
-    let all = diagnosis.candidates.iter();
-    let unseen = all.filter(|own| own.status == Status::NotExcited);
+    let unseen = diagnosis.candidates.iter().filter(|own| own.status == Status::NotExcited);
     unseen.map(|own| own.effect).collect()
 }
 
@@ -59,8 +58,7 @@ fn followed(file: &BenchFile, hidden: &str, adds: bool, seed: u64) -> Kept {
             return kept;
         };
         let words = next_run(&next);
-        let is_new = !made.contains(&recipe.id);
-        assert!(is_new, "{hidden}: {made:?} {words}");
+        assert!(!made.contains(&recipe.id), "{hidden}: {made:?} {words}");
         let is_open = next.reveals.iter().all(|id| !showed.contains(id));
         assert!(is_open, "{hidden}: {showed:?} {words}");
         assert!(kept.runs < MOST_RUNS, "{hidden}: {words}");

@@ -82,13 +82,11 @@ type Kind = (&'static str, Enters, fn(&Scenario, &mut ChaCha8Rng) -> Vec<f64>);
 pub(crate) const OF_THE_SPEED: &[Kind] = &[
     ("placebo: shifted w", Enters::Torque, |run, rng| shifted(&run.speed_rad_s, rng)),
     ("placebo: shifted w |w|", Enters::Torque, |run, rng| {
-        let speeds = shifted(&run.speed_rad_s, rng);
-        speeds.iter().map(|w| w * w.abs()).collect()
+        shifted(&run.speed_rad_s, rng).iter().map(|w| w * w.abs()).collect()
     }),
     // Less its mean: that is a constant load, which a record may well miss.
     ("placebo: shifted |w| less its mean", Enters::Torque, |run, rng| {
-        let speeds = shifted(&run.speed_rad_s, rng);
-        let sizes: Vec<f64> = speeds.iter().map(|w| w.abs()).collect();
+        let sizes: Vec<f64> = shifted(&run.speed_rad_s, rng).iter().map(|w| w.abs()).collect();
         let mean = mean(&sizes);
         sizes.iter().map(|size| size - mean).collect()
     }),
@@ -103,8 +101,7 @@ pub(crate) const OF_MOTION_AND_CURRENT: &[Kind] = &[
         another_phase(&run.speed_rad_s, period_s(run), rng)
     }),
     ("placebo: blocks of w |w| permuted", Enters::Torque, |run, rng| {
-        let speeds = permuted(&run.speed_rad_s, period_s(run), rng);
-        speeds.iter().map(|w| w * w.abs()).collect()
+        permuted(&run.speed_rad_s, period_s(run), rng).iter().map(|w| w * w.abs()).collect()
     }),
     ("placebo: shifted i", Enters::Voltage, |run, rng| shifted(&run.current_a, rng)),
     ("placebo: i of another phase", Enters::Voltage, |run, rng| {

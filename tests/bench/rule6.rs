@@ -94,8 +94,7 @@ fn wrong(found: &Diagnosis, id: &str) -> Vec<&'static str> {
         let mut pairs = found.confusable.iter();
         pairs.any(|pair| pair[0] == name && is_right(pair[1]))
     };
-    let names = found.effects.iter().copied();
-    names.filter(|name| !is_right(name) && !is_open(name)).collect()
+    found.effects.iter().copied().filter(|name| !is_right(name) && !is_open(name)).collect()
 }
 
 struct Row {
@@ -193,8 +192,7 @@ fn halves_and_a_fifth_of_the_floor_do_not_change_the_name() {
         .par_iter()
         .enumerate()
         .flat_map_iter(|(index, dose)| {
-            let machine = 10 + index as u64;
-            let data = evidence(&[dose.hidden(dose.1)], machine);
+            let data = evidence(&[dose.hidden(dose.1)], 10 + index as u64);
             let mut failures = Vec::new();
             let mut judge = |what: &str, found: &Diagnosis| {
                 println!(

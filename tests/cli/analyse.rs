@@ -194,8 +194,7 @@ fn what_is_no_run_is_said_before_anything_is_written() {
 /// The blocks of a page that stand behind `<!-- tool: name -->`.
 fn blocks(page: &str, tool: &str) -> Vec<(String, String)> {
     let mark = format!("<!-- {tool}: ");
-    let parts = page.split(&mark).skip(1);
-    let blocks = parts.map(|part| {
+    let blocks = page.split(&mark).skip(1).map(|part| {
         let (name, rest) = part.split_once(" -->").unwrap();
         let code = rest.split("```").nth(1).unwrap();
         let (_language, code) = code.split_once('\n').unwrap();
@@ -296,8 +295,7 @@ impl Yearly {
     fn drifted(&self) -> (Done, Value, PathBuf) {
         let failed = self.test("dry.toml", &self.spring, "--keep").expect(1);
         let found: Value = serde_json::from_str(&failed.stdout).unwrap();
-        let evidence = found["cases"][0]["evidence"].as_str().unwrap();
-        let case = self.desk.path(evidence);
+        let case = self.desk.path(found["cases"][0]["evidence"].as_str().unwrap());
         (failed, found, case)
     }
 }

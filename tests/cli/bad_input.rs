@@ -126,8 +126,7 @@ fn a_spoilt_record_is_refused_with_its_fault() {
 #[test]
 fn a_suspect_speed_with_nothing_to_compare_is_not_settled() {
     let desk = Desk::new();
-    let done = desk.on("identify {} --json", &spoilt(|row| row[3] *= RPM));
-    let done = done.expect(0);
+    let done = desk.on("identify {} --json", &spoilt(|row| row[3] *= RPM)).expect(0);
     has(&done.stderr, &["9.5493"]);
     let found = done.json();
     for (key, verdict) in [
@@ -188,8 +187,7 @@ fn an_unusable_file_is_status_2_for_every_command() {
         let file = desk.put("log.csv", &text);
         for command in ["identify", "compare", "diagnose"] {
             let command = format!("{command} {{}} --json");
-            let bare = call(&command, &[&file]).fails(2, &[part]);
-            assert_eq!(bare.stdout, "", "{part}");
+            assert_eq!(call(&command, &[&file]).fails(2, &[part]).stdout, "", "{part}");
             let text = format!("{command} --model {{}}");
             refusal(&text, &[&file, &nameplate]);
         }
@@ -251,8 +249,7 @@ fn the_origin_of_a_signal_limits_what_is_claimed_from_it() {
 #[test]
 fn the_origin_travels_from_the_drives_profile_to_the_answer() {
     let run = recorded("--emulator zk-22fc-hidden --seed 7", &[]);
-    let manifest = read_json(run.join("manifest.json"));
-    assert_eq!(manifest["sides"]["current_a"], "terminal");
+    assert_eq!(read_json(run.join("manifest.json"))["sides"]["current_a"], "terminal");
     let done = call("identify {} --json", &[&run]).expect(0);
     // A good run of a motor with a hidden effect is no bad input.
     lacks(&done.stderr, &["warning"]);

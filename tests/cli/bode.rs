@@ -28,8 +28,7 @@ fn a_chirp_finds_the_coupling_and_the_model_that_lacks_it() {
     let desk = Desk::new();
     let (csv, svg) = (desk.path("bode.csv"), desk.path("bode.svg"));
     let paths: [&Path; 3] = [&run, &csv, &svg];
-    let done = call("bode {} --json --csv {} --svg {}", &paths).expect(0);
-    let found = done.json();
+    let found = call("bode {} --json --csv {} --svg {}", &paths).expect(0).json();
     let mechanics = modes(&found, "current_to_speed");
     let of = |kind: &str| mechanics.iter().find(|mode| mode.0 == kind);
     let (_, hertz, damping) = of("resonance").expect("the coupling swings");
@@ -81,8 +80,7 @@ fn a_rigid_shaft_has_no_resonance_and_its_model_departs_nowhere() {
     let model = desk.path("model.toml");
     let paths: [&Path; 2] = [&run, &model];
     call("identify {} --output {}", &paths).expect(0);
-    let done = call("bode {} --model {} --json", &paths).expect(0);
-    let found = done.json();
+    let found = call("bode {} --model {} --json", &paths).expect(0).json();
     assert_eq!(found["modes"], json!([]));
     assert_eq!(found["departures"], json!([]));
     let text = call("bode {} --model {}", &paths).expect(0).stdout;
@@ -99,16 +97,14 @@ fn no_mode_is_named_in_an_ordinary_run_of_a_motor_that_has_none() {
         assert!([0, 5].contains(&found.status), "{}", found.stderr);
         let found = found.json();
         assert_eq!(found["modes"], json!([]), "{}", run.display());
-        let caution = word(&found, "/cautions/0");
-        has(caution, &["never turns in one direction", "offset"]);
+        has(word(&found, "/cautions/0"), &["never turns in one direction", "offset"]);
     }
 }
 
 #[test]
 fn a_run_in_a_closed_loop_is_taken_with_a_caution() {
     let desk = Desk::new();
-    let options = "--emulator zk-22fc-plain";
-    desk.simulate("speed --headless", options, &[]).expect(0);
+    desk.simulate("speed --headless", "--emulator zk-22fc-plain", &[]).expect(0);
     let done = call("bode {} --json", &[&desk.run()]);
     assert!([0, 5].contains(&done.status), "{}", done.stderr);
     let found = done.json();

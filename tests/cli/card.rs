@@ -136,8 +136,7 @@ fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
     desk.call("run --headless --port sim: --seed 7").expect(0);
     for command in PRINTED.lines().filter(|line| !line.is_empty()) {
         let mut process = std::process::Command::new(BINARY);
-        let words = command.split(' ');
-        let output = process.args(words).current_dir(desk.folder()).output();
+        let output = process.args(command.split(' ')).current_dir(desk.folder()).output();
         let output = output.expect("it runs");
         let [stdout, stderr] = [&output.stdout, &output.stderr]
             .map(|bytes| String::from_utf8_lossy(bytes).into_owned());
@@ -254,8 +253,7 @@ fn a_command_with_a_long_path_is_printed_to_be_copied() {
     let desk = Desk::new();
     let out = desk.path("long".repeat(30));
     let shown = call("run --headless --port sim: --out {}", &[&out]).expect(0).stdout;
-    let run = only_folder(&out);
-    let command = format!("drivebench diagnose {}", run.display());
+    let command = format!("drivebench diagnose {}", only_folder(&out).display());
     assert!(command.chars().count() > 100);
     has(&shown, &[&command]);
 }

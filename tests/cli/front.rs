@@ -49,8 +49,7 @@ fn latest_is_the_newest_run_wherever_a_run_is_taken() {
         PathBuf::from(word(&done.json(), "/folder"))
     };
     let link = desk.out().join("latest");
-    let first = record("1");
-    assert_eq!(fs::read_link(&link).unwrap(), Path::new(first.file_name().unwrap()));
+    assert_eq!(fs::read_link(&link).unwrap(), Path::new(record("1").file_name().unwrap()));
     let second = record("2");
     assert_eq!(fs::read_link(&link).unwrap(), Path::new(second.file_name().unwrap()));
     for command in ["identify {}", "compare {}", "replay {}"] {
@@ -346,8 +345,7 @@ fn with_json_an_error_is_a_document_too() {
             .filter(|line| line.starts_with("{\"error\""))
             .map(|line| serde_json::from_str(line).unwrap())
             .collect();
-        let asked = text.contains("--json");
-        assert_eq!(objects.len(), usize::from(asked), "{}", done.stderr);
+        assert_eq!(objects.len(), usize::from(text.contains("--json")), "{}", done.stderr);
         let error = done.error();
         for object in objects {
             assert_eq!(object["error"]["status"], status);
@@ -370,8 +368,7 @@ fn a_screen_without_colours_has_none() {
         session.wait_for("stribeck_friction");
         session.press("q");
         session.end();
-        let sent = String::from_utf8_lossy(&session.sent).into_owned();
-        sent.split("\u{1b}[").any(|part| {
+        String::from_utf8_lossy(&session.sent).into_owned().split("\u{1b}[").any(|part| {
             let end = part.find(|c: char| !c.is_ascii_digit() && c != ';');
             let (codes, rest) = part.split_at(end.unwrap_or(0));
             let is_colour = |code: &str| matches!(code.parse(), Ok(30..=37 | 40..=47 | 90..=97));

@@ -54,8 +54,7 @@ fn several_runs_give_the_spread_between_them() {
     assert_eq!(found["parameters"]["resistance_ohm"]["verdict"], "settled");
     assert_eq!(found["runs"].as_array().map(Vec::len), Some(3));
     let load = at("/load_shaft/parameters/inertia_kg_m2/value");
-    let motor = at("/parameters/inertia_kg_m2/value");
-    assert!((load / motor - 100.0).abs() < 1e-9);
+    assert!((load / at("/parameters/inertia_kg_m2/value") - 100.0).abs() < 1e-9);
 }
 
 #[test]
@@ -77,8 +76,7 @@ fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
     let file = folder.path("motor.toml");
     let compare = |text: &str| {
         fs::write(&file, text).expect("a temporary file");
-        let options = "identify {} --nameplate {} --json";
-        json_of(options, &[&run, &file])
+        json_of("identify {} --nameplate {} --json", &[&run, &file])
     };
     assert_eq!(compare(plate)["nameplate"]["fits"], true);
     let other = compare(&plate.replace("resistance_ohm = 1.1 ", "resistance_ohm = 3.3 "));
@@ -172,8 +170,7 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
     };
     let of_diagnose = card("diagnose {} --holdout {}", &[fit, holdout]);
     let add = format!("add {id} --run {{}} --holdout {{}}");
-    let of_add = card(&add, &[fit, holdout]);
-    assert_eq!(of_diagnose, of_add.replacen("N.m ", "N.m - ", 1));
+    assert_eq!(of_diagnose, card(&add, &[fit, holdout]).replacen("N.m ", "N.m - ", 1));
 }
 
 /// One step of voltage out of rest at 20 Hz, voltage and speed only: 2.4 rad/s/V and 0.12 s behind 0.4 V of friction.

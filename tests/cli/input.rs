@@ -14,11 +14,9 @@ fn rows() -> Vec<[String; 4]> {
     let mut lines = CSV.lines().map(|row| row.split(',').collect::<Vec<_>>());
     let header = lines.next().expect("a header");
     let places = ["time_s", "voltage_cmd_v", "current_a", "speed_rad_s"].map(|name| {
-        let place = header.iter().position(|cell| *cell == name);
-        place.expect("a column that every run has")
+        header.iter().position(|cell| *cell == name).expect("a column that every run has")
     });
-    let rows = lines.map(|row| places.map(|place| row[place].to_owned()));
-    rows.collect()
+    lines.map(|row| places.map(|place| row[place].to_owned())).collect()
 }
 
 const HEADER: &str = "time_s,voltage_cmd_v,current_a,speed_rad_s\n";
@@ -79,8 +77,7 @@ fn a_log_with_dates_units_and_repeats_gives_the_same_motor() {
     assert_eq!(found["rows"].as_u64(), Some(rows.len() as u64));
     has(&found["notes"].to_string(), &["midnight of 2024-05-05", "40 rows repeat"]);
     for key in ["resistance_ohm", "back_emf_v_s_per_rad"] {
-        let ours = parameter(&own, key).unwrap();
-        expect_near(key, parameter(&found, key), ours, 0.05);
+        expect_near(key, parameter(&found, key), parameter(&own, key).unwrap(), 0.05);
     }
     // The text is named with the option that reads it, and the next command keeps the options.
     let error = desk.identify(&text, &format!("--map {map}")).expect(2).error();
@@ -244,14 +241,11 @@ fn a_plan_that_is_too_much_is_refused_with_figure_and_limit() {
     let done = call("plan {} --json", &[&file]).expect(2);
     let error = done.error();
     has(&error, &["speed", "100"]);
-    let refusals = done.json()["refusals"].as_array().map_or(0, Vec::len);
-    assert!(refusals > 0);
-    let predicted = done.json()["peak_speed_rad_s"].as_f64().unwrap();
-    assert!(predicted > 100.0);
+    assert!(done.json()["refusals"].as_array().map_or(0, Vec::len) > 0);
+    assert!(done.json()["peak_speed_rad_s"].as_f64().unwrap() > 100.0);
     // And `run` refuses it before anything is energised.
     let out = desk.path("runs");
-    let text = "run {} --port sim: --headless --out {}";
-    let error = refusal(text, &[&file, &out]);
+    let error = refusal("run {} --port sim: --headless --out {}", &[&file, &out]);
     has(&error, &["plan refused"]);
     assert!(!out.exists());
 }
@@ -269,13 +263,11 @@ fn effects_has_a_card_for_each() {
         let is_listed = changelog.contains(name) || changelog.contains(&format!("`add {id}`"));
         assert!(is_listed, "{id} is not in the CHANGELOG");
         for key in "name equation causes looks_like excite remedy".split(' ') {
-            let is_told = card[key].as_str().is_some_and(|text| !text.is_empty());
-            assert!(is_told, "{id}: {key}");
+            assert!(card[key].as_str().is_some_and(|text| !text.is_empty()), "{id}: {key}");
         }
         // What the user or the data define has its parameters in its settings.
         let is_defined = ["custom", "table"].contains(&id);
-        let has_parameters = !card["parameters"].as_array().unwrap().is_empty();
-        assert!(has_parameters || is_defined, "{id}");
+        assert!(!card["parameters"].as_array().unwrap().is_empty() || is_defined, "{id}");
     }
 }
 

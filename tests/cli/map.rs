@@ -66,8 +66,7 @@ const FORMS: &[Form] = &[
         name: "German",
         head: "Zeit [ms];Ankerspannung [V];Motorstrom [mA];Istdrehzahl [U/min];Temperatur [\u{b0}C]\n",
         row: |[t, u, i, w, _]| {
-            let text = format!("{:.1};{u};{:.2};{:.4};25.5", 1e3 * t, 1e3 * i, w * RPM);
-            text.replace('.', ",")
+            format!("{:.1};{u};{:.2};{:.4};25.5", 1e3 * t, 1e3 * i, w * RPM).replace('.', ",")
         },
         numbers: "",
         verdict: "SURE",

@@ -83,8 +83,7 @@ fn an_unexplained_error_is_reported_with_its_curve() {
     has(said, &["curve  ", "torque error follows the speed"]);
     let (_, add) = said.split_once("next      drivebench ").unwrap();
     let add = add.replace('\\', " ");
-    let start = "add table --equation torque --axis speed_rad_s ";
-    assert!(add.starts_with(start), "{add}");
+    assert!(add.starts_with("add table --equation torque --axis speed_rad_s "), "{add}");
     // What is recommended works as it is written.
     let mut words: Vec<PathBuf> = add.split_whitespace().map(PathBuf::from).collect();
     let output = words.last_mut().unwrap();

@@ -22,8 +22,7 @@ fn run_of(bench: &Path, run_seed: u64) -> Recorded {
 }
 
 fn diagnosed(run: &Path, bench: &Path, next: &Path) -> Value {
-    let arguments = "diagnose {} --bench {} --next-bench {} --json";
-    json_of(arguments, &[run, bench, next])
+    json_of("diagnose {} --bench {} --next-bench {} --json", &[run, bench, next])
 }
 
 #[test]
@@ -44,8 +43,7 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     let expected = recommended["expected_separation"].as_f64();
     assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
 
-    let arguments = "diagnose {} --bench {}";
-    call(arguments, &[&run, &at("no.toml")]).fails(2, &["no.toml"]);
+    call("diagnose {} --bench {}", &[&run, &at("no.toml")]).fails(2, &["no.toml"]);
 
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
     let first = run;
@@ -69,6 +67,5 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
 /// Largest magnitude of a column.
 fn largest(samples: &Path, column_name: &str) -> f64 {
     let text = fs::read_to_string(samples).expect("the samples are there");
-    let sizes = column(&text, column_name).into_iter().map(f64::abs);
-    sizes.fold(0.0, f64::max)
+    column(&text, column_name).into_iter().map(f64::abs).fold(0.0, f64::max)
 }

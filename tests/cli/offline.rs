@@ -216,8 +216,7 @@ fn add_writes_a_model_for_other_commands_and_overwrites_none() {
     let richer = folder.path("richer.toml");
     let add = "--run {} --holdout {} --model {} --output {} --json";
     let text = format!("add stribeck_friction {add}");
-    let done = on_hidden(&text, &[&richer]).expect(0);
-    let found = done.json();
+    let found = on_hidden(&text, &[&richer]).expect(0).json();
     assert_eq!(found["accepted"], true);
     assert!(!word(&found, "/reason").is_empty());
     let speed = "/speed_rad_s/holdout/rmse";

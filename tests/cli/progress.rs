@@ -65,11 +65,9 @@ fn progress_is_one_line_that_goes_when_the_answer_comes() {
     written.join().unwrap().unwrap();
     let sent = String::from_utf8_lossy(&session.sent);
     assert_eq!(status, 0, "{sent}");
-    let last = sent.rfind("compare: ").expect("no line was drawn");
-    let (drawn, left) = sent.split_at(last);
+    let (drawn, left) = sent.split_at(sent.rfind("compare: ").expect("no line was drawn"));
     assert!(drawn.ends_with(WIPE), "{drawn:?}");
-    let end = left.find('\r').expect("nothing follows the line");
-    let (line, after) = left.split_at(end);
+    let (line, after) = left.split_at(left.find('\r').expect("nothing follows the line"));
     assert!(!line.contains('{'), "the answer stands behind the line: {line:?}");
     assert!(after.starts_with(WIPE), "the line is left behind: {left:?}");
     assert!(after[WIPE.len()..].starts_with('{'), "{after:?}");

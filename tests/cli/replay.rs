@@ -65,8 +65,7 @@ fn one_changed_digit_is_found() {
     let column = column.expect("a current is recorded");
     // The last digit of one current in the middle of the run.
     let row = (rows.len() / 2..rows.len()).find(|row| rows[*row][column].len() > 3);
-    let row = row.expect("a row with a current");
-    change(&run, row, |line| {
+    change(&run, row.expect("a row with a current"), |line| {
         let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
         let last = cells[column].pop();
         cells[column].push(if last == Some('1') { '2' } else { '1' });
@@ -114,8 +113,7 @@ fn a_killed_run_has_nothing_to_compare_with_and_a_torn_row() {
     let result = done.json();
     assert_eq!(result["identical"], Value::Null);
     assert_eq!(result["rows_dropped"], 1);
-    let because = result["not_compared_because"].as_str().expect("a reason");
-    has(because, &["not finished"]);
+    has(result["not_compared_because"].as_str().expect("a reason"), &["not finished"]);
     has(&done.stderr, &["last whole row"]);
     assert!(result["parameters"]["resistance_ohm"]["value"].is_number());
 }
@@ -130,8 +128,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
     let text = format!("replay {{}} --json --map {map}");
     let result = json_of(&text, &[&foreign]);
     assert_eq!(result["identical"], Value::Null);
-    let because = result["not_compared_because"].as_str().expect("a reason");
-    has(because, &["foreign"]);
+    has(result["not_compared_because"].as_str().expect("a reason"), &["foreign"]);
     assert_eq!(result["configuration_from"], "default");
     let own = replay(live()).expect(0).json();
     // The live run started from the nameplate, the foreign one from nothing: the same motor, not the same bits.
@@ -169,8 +166,7 @@ fn three_hundred_thousand_rows_stream_in_little_memory() {
         command.arg("-c").arg(script).arg(BINARY).arg(&path);
         Done::of(&command.output().expect("a shell can be started"))
     };
-    let result = limited("replay \"$1\" --json").expect(0).json();
-    assert_eq!(result["rows"], ROWS);
+    assert_eq!(limited("replay \"$1\" --json").expect(0).json()["rows"], ROWS);
     // The same limit is too small for a command that holds the run: it is a limit.
     assert_ne!(limited("identify \"$1\" --json").status, 0);
 }

@@ -212,8 +212,7 @@ fn the_mouse_is_an_option_and_a_click_selects() {
     let mut session = diagnose("--mouse", folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.wait_for("▶ ✓ supported   stribeck_friction");
-    let shown = session.text();
-    let row = shown.lines().position(|row| row.contains("stribeck_friction  "));
+    let row = session.text().lines().position(|row| row.contains("stribeck_friction  "));
     // Counted from one; the row below the selected one, as terminals tell it (SGR).
     let below = row.expect("the list") + 2;
     session.press(&format!("\u{1b}[<0;30;{below}M\u{1b}[<0;30;{below}m"));

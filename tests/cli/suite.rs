@@ -216,8 +216,7 @@ fn waived_checks_of_a_suite_are_listed_before_consent() {
         "case \"unproven\" sets waive_watchdog, reset_fault: checks that keep a real motor safe";
     for consent in ["", "--hardware"] {
         let options = format!("--port /dev/ttyNONE {consent}");
-        let done = tested(&desk, text, &options).expect(3);
-        let told = done.stderr.replace("\n  ", " ");
+        let told = tested(&desk, text, &options).expect(3).stderr.replace("\n  ", " ");
         assert_eq!(told.matches(said).count(), 1, "{told}");
         assert!(!told.contains("\"careful\" sets"), "{told}");
     }

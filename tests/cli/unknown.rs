@@ -5,15 +5,13 @@ use crate::kit::prelude::*;
 /// The default bench without the lines that begin with these words.
 fn bench_without(keys: &str) -> String {
     let is_kept = |line: &&str| !keys.split(' ').any(|key| line.starts_with(key));
-    let kept = BENCH.lines().filter(is_kept);
-    kept.flat_map(|line| [line, "\n"]).collect()
+    BENCH.lines().filter(is_kept).flat_map(|line| [line, "\n"]).collect()
 }
 
 #[track_caller]
 fn ratio(parameters: &Value, key: &str, truth: f64) -> f64 {
     let value = parameters.as_array().into_iter().flatten().find(|p| p["key"] == key);
-    let value = value.and_then(|p| p["value"].as_f64()).unwrap_or(f64::NAN);
-    value / truth
+    value.and_then(|p| p["value"].as_f64()).unwrap_or(f64::NAN) / truth
 }
 
 #[test]
@@ -66,9 +64,7 @@ fn the_slew_limit_of_the_bench_holds_in_every_stage() {
     let text = BENCH.replace("slew_v_per_s = 150.0", &format!("slew_v_per_s = {limit_v_per_s:.1}"));
     assert_ne!(text, BENCH);
     let bench = out.put("bench.toml", &text);
-    let options = "{} --escalate --emulator zk-22fc-plain";
-    let done = out.simulate("run", options, &[&bench]);
-    let found = done.json();
+    let found = out.simulate("run", "{} --escalate --emulator zk-22fc-plain", &[&bench]).json();
     let stages = found["escalation"]["stages"].as_array();
     let stages = stages.or_else(|| found["stages"].as_array());
     let mut judged = 0;
@@ -92,8 +88,7 @@ fn a_motor_is_found_from_its_rated_values_alone() {
     let keys = "resistance_ohm inductance_h back_emf inertia_kg load_torque";
     let bench = out.put("bench.toml", &bench_without(keys));
     let options = "{} --emulator small-servo-behind-zk-22fc";
-    let done = out.simulate("run", options, &[&bench]).expect(0);
-    let found = done.json();
+    let found = out.simulate("run", options, &[&bench]).expect(0).json();
     assert_eq!(found["escalation"]["outcome"], "found");
     assert!(found["escalation"]["nameplate"].is_null(), "nothing on the plate, nothing to compare");
     let factor = found["escalation"]["scaled"]["factor"].as_f64().unwrap_or(f64::NAN);
@@ -104,8 +99,7 @@ fn a_motor_is_found_from_its_rated_values_alone() {
     let folder = PathBuf::from(found["folder"].as_str().unwrap_or_default());
     let batch = json_of("identify {} --json", &[&folder]);
     for key in ["resistance_ohm", "back_emf_v_s_per_rad", "inertia_kg_m2"] {
-        let value = parameter(&batch, key).unwrap_or(f64::NAN);
-        let agreement = ratio(parameters, key, value);
+        let agreement = ratio(parameters, key, parameter(&batch, key).unwrap_or(f64::NAN));
         assert!((agreement - 1.0).abs() < 0.05, "{key} {agreement}");
     }
     let excited = found["excitation"]["inertia_kg_m2"].as_f64();

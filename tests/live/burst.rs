@@ -35,8 +35,7 @@ fn armed_at_s(run: &Path) -> f64 {
 fn a_burst_gives_the_winding_of_a_slow_loop() {
     let desk = Desk::new();
     let bench = desk.put("bench.toml", &bench("modbus-rtu", 3));
-    let done = desk.simulate("run --headless", "{} --seed 3", &[&bench]);
-    let done = done.expect(0);
+    let done = desk.simulate("run --headless", "{} --seed 3", &[&bench]).expect(0);
     has(&done.stderr, &["burst capture: 4095 samples at 10000 Hz"]);
     let run = desk.run();
     let (rows, first_s, last_s) = capture(&run);
@@ -46,10 +45,8 @@ fn a_burst_gives_the_winding_of_a_slow_loop() {
     assert!((first_s - armed_s).abs() < 0.05, "{first_s} after {armed_s}");
 
     // The truth of seed 3 is within 10 % of the plate; the run itself tells it well.
-    let identify = |data: &Path| {
-        let text = "identify {} --json --require resistance_ohm,inductance_h";
-        json_of(text, &[data])
-    };
+    let identify =
+        |data: &Path| json_of("identify {} --json --require resistance_ohm,inductance_h", &[data]);
     let (whole, burst) = (identify(&run), identify(&run.join("capture-01.csv")));
     for key in ["resistance_ohm", "inductance_h"] {
         let (whole, burst) = (parameter(&whole, key), parameter(&burst, key));
@@ -96,8 +93,7 @@ fn a_commissioning_at_a_low_rate_takes_a_burst() {
         .replace("rate_hz = 100.0", "rate_hz = 25.0")
         .replace("zk-22fc-hidden", "zk-22fc-brushes");
     let bench = desk.put("bench.toml", &text);
-    let done = desk.simulate("commission --headless", "{} --seed 5", &[&bench]);
-    let done = done.expect(0).json();
+    let done = desk.simulate("commission --headless", "{} --seed 5", &[&bench]).expect(0).json();
     let burst = &done["burst"];
     assert_eq!(burst["rate_hz"].as_f64().map(f64::round), Some(10_000.0));
     assert_eq!(burst["effects"], json!(["voltage_drop"]), "{burst}");

@@ -50,8 +50,7 @@ fn done(command: &str, link: &str) -> (Done, Desk) {
     let (done, desk) = in_real_time(|| {
         let desk = Desk::new();
         let drive = drive(&desk, link);
-        let done = desk.at_port(command, &bench(link), &drive.port(), "--json");
-        (done, desk)
+        (desk.at_port(command, &bench(link), &drive.port(), "--json"), desk)
     });
     (done.expect(0), desk)
 }
@@ -105,8 +104,7 @@ fn the_c_drive_is_identified_and_keeps_its_speed_on_each_link() {
 fn a_host_that_speaks_the_other_protocol_is_told_so() {
     let desk = Desk::new();
     let drive = drive(&desk, "modbus-rtu");
-    let done = desk.at_port("run", &bench("stream"), &drive.port(), "--headless");
-    done.expect(3).error();
+    desk.at_port("run", &bench("stream"), &drive.port(), "--headless").expect(3).error();
 }
 
 /// Function code 08 and back; `None` where the pseudo-terminal is just being replaced.

@@ -44,8 +44,7 @@ fn tell(text: &str) {
 /// Makes the trials, a few at once, and says of all that went wrong.
 fn expect(cases: &[Case]) {
     let done = trials::at_once(AT_ONCE, cases, |(fault, way)| {
-        let seed = fault.name.bytes().map(u64::from).sum();
-        let trial = trial(fault, *way, seed);
+        let trial = trial(fault, *way, fault.name.bytes().map(u64::from).sum());
         tell(&trial.to_string());
         trial
     });
@@ -91,8 +90,7 @@ fn whatever_the_drive_does_it_ends_at_zero() {
 #[test]
 #[ignore = "real time, on a quiet machine: cargo test --release --test live fault_trials -- --ignored"]
 fn every_way_of_running_ends_well_where_nothing_is_wrong() {
-    let fault = FAULTS.iter().find(|fault| fault.act == Act::Nothing);
-    let fault = fault.expect("it stands first");
+    let fault = FAULTS.iter().find(|fault| fault.act == Act::Nothing).expect("it stands first");
     let cases: Vec<Case> = Way::ALL.into_iter().map(|way| (fault, way)).collect();
     expect(&cases);
 }

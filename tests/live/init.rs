@@ -27,8 +27,7 @@ fn our_own_drive_is_set_up_planned_and_run() {
             "smaller of 2.0 x rated current 5.7 A (nameplate) and the drive's own limit 11.4 A (read back)",
         ],
     );
-    let plan = json_of("plan {} --json", &[&file]);
-    assert_eq!(plan["refusals"], json!([]));
+    assert_eq!(json_of("plan {} --json", &[&file])["refusals"], json!([]));
     let run = "run {} --headless --json --emulator zk-22fc-plain --out {}";
     let found = json_of(run, &[&file, &runs]);
     assert_eq!(desk.manifest()["outcome"], "passed");

@@ -32,8 +32,7 @@ fn served(kind: Protocol, endpoint: Endpoint, baud: u32) -> (ServerHandle, Box<d
     profile.link.protocol = kind;
     profile.link.deadline_ms = Some(3000.0);
     profile.link.gap_us = (baud == 0).then_some(0.0);
-    let link = open(&target, &profile, now()).unwrap();
-    (server, link)
+    (server, open(&target, &profile, now()).unwrap())
 }
 
 fn any_port() -> Endpoint {

@@ -7,8 +7,7 @@ use drivebench::drive::{DriveProfile, Protocol};
 
 /// On a pseudo-terminal of the desk, as the profile.
 fn emulator_of(desk: &Desk, profile: &str) -> Emulator {
-    let name = format!("{}.pty", profile.replace('/', "-"));
-    let pty = desk.path(name);
+    let pty = desk.path(format!("{}.pty", profile.replace('/', "-")));
     let is_modbus = |profile: DriveProfile| profile.link.protocol.is_modbus();
     // Registers can be served as RTU whatever the profile says; another language is its own.
     let link =
@@ -48,22 +47,18 @@ fn is_read_only(tap: &Path) {
 /// The emulated supply.
 #[track_caller]
 fn is_120_v(told: &Value) {
-    let volts = told["value"].as_f64().unwrap();
-    assert!((volts - 120.0).abs() < 2.0, "{told}");
+    assert!((told["value"].as_f64().unwrap() - 120.0).abs() < 2.0, "{told}");
 }
 
 fn signal<'a>(report: &'a Value, name: &str) -> &'a Value {
-    let signals = report["signals"].as_array().unwrap();
-    signals.iter().find(|signal| signal["name"] == name).unwrap()
+    report["signals"].as_array().unwrap().iter().find(|signal| signal["name"] == name).unwrap()
 }
 
 #[test]
 fn every_profile_is_plausible_and_nothing_is_written() {
     let desk = Desk::new();
-    let mapped = DriveProfile::names().filter_map(|name| {
-        let profile = DriveProfile::named(name).unwrap();
-        Some((name, profile.registers?))
-    });
+    let mapped = DriveProfile::names()
+        .filter_map(|name| Some((name, DriveProfile::named(name).unwrap().registers?)));
     let mapped: Vec<_> = mapped.collect();
     assert!(mapped.len() >= 11, "{}", mapped.len());
     at_once(mapped, |(name, map)| {
@@ -218,8 +213,7 @@ fn without_a_drive_every_profile_is_tried() {
     let of = |name: &str| tried.iter().find(|t| t["profile"] == name).unwrap();
     assert_eq!(of("siemens-v20")["fit"], "cannot_be_told");
     assert_eq!(of("own")["fit"], "no");
-    let refused = of("vacon10")["reason"].as_str().unwrap();
-    has(refused, &["exception"]);
+    has(of("vacon10")["reason"].as_str().unwrap(), &["exception"]);
     is_read_only(&tap);
 }
 
@@ -232,8 +226,7 @@ fn silence_and_another_drive_are_exit_status_3() {
     has(&another.error(), &["register 64"]);
     let mut arguments = line("probe --drive siemens-v20 --unit 9 --timeout-ms 50 --port", &[]);
     arguments.push(PathBuf::from(&emulator.address));
-    let nobody = drivebench(arguments).fails(3, &["no reply within 50 ms"]);
-    assert!(nobody.stdout.is_empty());
+    assert!(drivebench(arguments).fails(3, &["no reply within 50 ms"]).stdout.is_empty());
     call("probe --drive own --port /dev/drivebench-none", &[]).expect(3).error();
     refusals(
         "probe --drive own

@@ -124,8 +124,7 @@ fn an_unknown_command_of_a_drive_leads_to_its_setpoints() {
 
 /// The example of the manual page, as a file of a newcomer.
 fn example(desk: &Desk) -> PathBuf {
-    let page = include_str!("../../docs/drives.md");
-    let (_, rest) = page.split_once("```toml\n").unwrap();
+    let (_, rest) = include_str!("../../docs/drives.md").split_once("```toml\n").unwrap();
     desk.put("acme-40.toml", rest.split_once("```").unwrap().0)
 }
 

@@ -118,8 +118,7 @@ fn commands(capture: &Path) -> Vec<(u16, u16)> {
 #[track_caller]
 fn is_stopped(run: Process) {
     let done = run.end().expect(3);
-    let ending = &done.json()["reopened"]["ending"];
-    assert_eq!(ending, "stopped", "{}", done.stderr);
+    assert_eq!(&done.json()["reopened"]["ending"], "stopped", "{}", done.stderr);
 }
 
 /// A control word with which the output is on (firmware-protocol/SPEC.md 2.2).
@@ -203,8 +202,7 @@ fn a_search_ends_with_ctrl_c_or_its_time_or_at_once() {
     at_once([("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")], |(option, ending)| {
         let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
         drop(drive);
-        let done = run.end().expect(3);
-        let told = done.json();
+        let told = run.end().expect(3).json();
         assert_eq!(told["reopened"]["ending"].as_str().unwrap_or_default(), ending);
     });
 }

@@ -28,8 +28,7 @@ impl Lab {
     }
 
     fn run(&self, bench: &BenchFile<'_>) -> Done {
-        let options = "--headless --json";
-        self.desk.at_port("run", &bench.text(), &self.port(), options)
+        self.desk.at_port("run", &bench.text(), &self.port(), "--headless --json")
     }
 
     /// Starts a long run and returns once the record shows that the motor turns fast.
@@ -75,8 +74,7 @@ fn complete_run(link: &'static str) {
     let rows = samples.lines().count() - 1;
     assert_eq!(manifest["rows"].as_u64(), Some(rows as u64));
     assert!(rows > 50, "{rows} rows");
-    let speeds = column(&samples, "speed_rad_s");
-    let (slowest, fastest) = (speeds.iter())
+    let (slowest, fastest) = (column(&samples, "speed_rad_s").iter())
         .fold((0.0_f64, 0.0_f64), |(least, most), speed| (least.min(*speed), most.max(*speed)));
     // 75 either way on a quiet machine. Where cycles are late the slew limit lets the voltage rise less between them.
     assert!(fastest > 25.0 && slowest < -25.0, "{slowest} .. {fastest}");
@@ -97,8 +95,7 @@ fn a_run_over_pseudo_terminals_and_tcp() {
 
 #[test]
 fn a_port_that_is_not_there_is_status_3_and_names_what_is() {
-    let done = call("run --headless --port /dev/ttyNowhere", &[]).expect(3);
-    let error = done.error();
+    let error = call("run --headless --port /dev/ttyNowhere", &[]).expect(3).error();
     has(&error, &["/dev/ttyNowhere"]);
     assert!(error.contains("there are: ") || error.contains("no serial port is there"), "{error}");
     // Port 1 of this machine: nobody listens.

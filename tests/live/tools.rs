@@ -29,8 +29,7 @@ impl Drive {
 #[track_caller]
 fn balances(counters: &Value) {
     let of = |name: &str| counters[name].as_u64().expect("a count");
-    let classes = "ok timeout crc stale mismatch exception aborted";
-    let sum: u64 = classes.split(' ').map(of).sum();
+    let sum: u64 = "ok timeout crc stale mismatch exception aborted".split(' ').map(of).sum();
     assert_eq!(of("sent"), sum, "{counters}");
 }
 
@@ -38,8 +37,7 @@ fn balances(counters: &Value) {
 fn registers_are_read_as_the_contract_says() {
     for link in ["modbus-rtu", "modbus-tcp"] {
         let drive = Drive::start(link);
-        let done = drive.ask("registers read 64:2 0x40 --repeat 5 --json", &[]);
-        let result = done.expect(0).json();
+        let result = drive.ask("registers read 64:2 0x40 --repeat 5 --json", &[]).expect(0).json();
         let reads = result["reads"].as_array().expect("a list");
         assert_eq!(reads.len(), 2);
         assert_eq!(reads[0]["address"], 64);
@@ -204,7 +202,6 @@ fn the_doctor_measures_and_leaves_a_line_to_paste() {
 
 #[test]
 fn ports_are_a_list_even_where_there_is_none() {
-    let found = json_of("ports --json", &[]);
-    assert!(found["ports"].is_array());
+    assert!(json_of("ports --json", &[])["ports"].is_array());
     assert!(!call("ports", &[]).expect(0).stdout.is_empty());
 }

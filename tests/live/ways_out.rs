@@ -86,9 +86,7 @@ impl Lab {
 fn a_closed_terminal_stops_the_motor_with_status_130() {
     at_once(["run", "commission", "speed"], |command| {
         let lab = Lab::new();
-        let session = lab.on_screen(command);
-        let status = session.close();
-        assert_eq!(status, 130, "{command}");
+        assert_eq!(lab.on_screen(command).close(), 130, "{command}");
         lab.expect_stopped(command);
         if command == "run" {
             let manifest = lab.desk.read("manifest.json");
@@ -124,8 +122,7 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
     let times = column(&lab.desk.read("samples.csv"), "time_s");
     // Those of the time in which nothing was drawn are among them, in their order.
     assert!(times.len() >= before + BLOCKED_ROWS, "{} rows", times.len());
-    let is_ordered = times.windows(2).all(|pair| pair[0] < pair[1]);
-    assert!(is_ordered, "{times:?}");
+    assert!(times.windows(2).all(|pair| pair[0] < pair[1]), "{times:?}");
 }
 
 fn a_terminal_of_one_cell_holds_up_nothing() {
@@ -206,8 +203,7 @@ fn a_run_that_nobody_reads_any_more_ends_its_motor_all_the_same() {
     let mut run = lab.headless();
     drop((run.0.stdout.take(), run.0.stderr.take()));
     run.signal(Signal::SIGTERM);
-    let status = wait_for("the end", || run.0.try_wait().unwrap());
-    assert_eq!(status.code(), Some(130));
+    assert_eq!(wait_for("the end", || run.0.try_wait().unwrap()).code(), Some(130));
     lab.expect_stopped("closed pipes");
 }
 

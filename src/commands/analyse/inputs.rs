@@ -129,8 +129,7 @@ mod tests {
             let paths: Vec<PathBuf> = names.iter().map(|name| root.path().join(name)).collect();
             let found = runs(&paths).map_err(|error| error.headline().to_owned())?;
             let short = |path: PathBuf| {
-                let path = path.strip_prefix(root.path()).unwrap().to_owned();
-                path.display().to_string()
+                path.strip_prefix(root.path()).unwrap().to_owned().display().to_string()
             };
             Ok::<_, String>(found.into_iter().map(short).collect::<Vec<_>>())
         };

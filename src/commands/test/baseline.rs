@@ -213,8 +213,7 @@ fn steps_of(result: &Value, case: &str, step: &str) -> Vec<IdentifiedStep> {
 /// Whether what was found is the same to the last digit, as two measurements never are.
 fn is_identical(one: &[ParameterEstimate], other: &[ParameterEstimate]) -> bool {
     let carried = |all: &[ParameterEstimate]| -> Vec<(String, u64)> {
-        let all = all.iter();
-        all.filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits()))).collect()
+        all.iter().filter_map(|own| Some((own.key.clone(), own.carried()?.0.to_bits()))).collect()
     };
     let figures = carried(one);
     !figures.is_empty() && figures == carried(other)
@@ -234,8 +233,7 @@ pub(super) fn figures(drift: &Drift) -> Vec<(&'static str, Value)> {
     let drifted = if lost.is_empty() {
         keys.into()
     } else {
-        let named = keys.into_iter().map(str::to_owned).chain(lost);
-        named.collect::<Vec<_>>().join("; ").into()
+        keys.into_iter().map(str::to_owned).chain(lost).collect::<Vec<_>>().join("; ").into()
     };
     let percent = |percent: Option<f64>| percent.map_or("not known".into(), Value::from);
     vec![

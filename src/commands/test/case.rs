@@ -467,8 +467,7 @@ impl Progress<'_> {
     /// The emulator's name or file, with the changes by faults.
     fn emulator(&self) -> Result<Option<String>, Ended> {
         let named = self.case.emulator.as_ref();
-        let in_home = named.map(|name| self.bench.home.join(name));
-        let named = match (in_home, named) {
+        let named = match (named.map(|name| self.bench.home.join(name)), named) {
             (Some(path), _) if path.is_file() => Some(path.display().to_string()),
             (_, named) => named.cloned(),
         };

@@ -446,7 +446,6 @@ mod tests {
             assert!(!waited.1.timed_out(), "one after the other");
         });
         each(2..9, 1, |one| lock(&begun).push(one));
-        let all = begun.into_inner().unwrap();
-        assert_eq!(all[2..], [2, 3, 4, 5, 6, 7, 8]);
+        assert_eq!(begun.into_inner().unwrap()[2..], [2, 3, 4, 5, 6, 7, 8]);
     }
 }

@@ -109,8 +109,7 @@ fn ready(child: &mut Child, stop: &AtomicBool, limit_s: f64) -> io::Result<Strin
     }
     let line = printed.split(|byte| *byte == b'\n').next();
     let ready: Value = serde_json::from_slice(line.unwrap_or_default()).unwrap_or_default();
-    let address = ready.get("address").and_then(Value::as_str);
-    address.map(str::to_owned).ok_or_else(no_line)
+    ready.get("address").and_then(Value::as_str).map(str::to_owned).ok_or_else(no_line)
 }
 
 #[cfg(test)]

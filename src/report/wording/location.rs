@@ -164,8 +164,7 @@ pub fn balance(balance: &EquationBalance, locations: &[FailureLocation]) -> Stri
 }
 
 fn largest_change(balance: &EquationBalance) -> String {
-    let changes = balance.own_changes.iter();
-    let largest = changes.max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
+    let largest = balance.own_changes.iter().max_by(|a, b| a.share.abs().total_cmp(&b.share.abs()));
     largest.map_or_else(String::new, |change| {
         let name = MotorKey::from_key(change.key).map_or("a value", MotorKey::name);
         format!(" (the {name} by {:+.1} %)", 100.0 * change.share)

@@ -347,8 +347,7 @@ fn changes(state: &State, width: u16) -> Vec<Line<'static>> {
         return Vec::new();
     };
     let (text, style) = change(*added, result);
-    let rows = wrapped(&text, usize::from(width).saturating_sub(1));
-    let rows = rows.into_iter().take(3);
+    let rows = wrapped(&text, usize::from(width).saturating_sub(1)).into_iter().take(3);
     rows.map(|row| Line::styled(format!(" {row}"), style)).collect()
 }
 

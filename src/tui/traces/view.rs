@@ -53,8 +53,7 @@ fn fitting(page: &TracesPage, height: u16) -> Vec<Panel> {
     let all = page.panels();
     let mut shown = page.chosen.clone().unwrap_or_else(|| first_panels(&all));
     let smallest = if height < 10 { 3 } else { 5 };
-    let room = usize::from((height / smallest).max(1));
-    shown.truncate(room);
+    shown.truncate(usize::from((height / smallest).max(1)));
     if page.chosen.is_none()
         && shown.len() > 1
         && let Some((place, Shows::Both)) = shown.last()

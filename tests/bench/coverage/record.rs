@@ -51,8 +51,7 @@ impl Trajectory {
         let mut log_uniform =
             |from: f64, to: f64| -> f64 { rng.random_range(from.ln()..to.ln()).exp() };
         let mut ta = log_uniform(0.5e-3, 50e-3);
-        let ratio = log_uniform(1.0, 50.0);
-        let tm = (ta * ratio).clamp(0.01, 1.0);
+        let tm = (ta * log_uniform(1.0, 50.0)).clamp(0.01, 1.0);
         ta = ta.clamp(tm / 50.0, tm);
         let resistance = log_uniform(0.2, 10.0);
         let back_emf = log_uniform(0.03, 1.5);

@@ -125,8 +125,7 @@ impl Program {
             program = "/bin/sh";
         }
         if way.has_screen() {
-            let session = Session::of(program, arguments, folder, SIZE);
-            return Self::OnScreen(Box::new(session));
+            return Self::OnScreen(Box::new(Session::of(program, arguments, folder, SIZE)));
         }
         let mut command = Command::new(program);
         command.args(arguments).arg("--headless");
@@ -384,8 +383,7 @@ fn documents(runs: &Path) -> Vec<(String, Value)> {
         .map(|folder| {
             let manifest = read(folder.join("manifest.json"));
             let result = read(folder.join("result.json"));
-            let text = format!("\n{} {}", manifest["outcome"], result["notices"]);
-            (text, result)
+            (format!("\n{} {}", manifest["outcome"], result["notices"]), result)
         })
         .collect()
 }
