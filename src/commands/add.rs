@@ -159,8 +159,7 @@ fn run(
     }
     let before = &prepared.model.file.history;
     let run = Some(prepared.run.run.name.clone());
-    let floor = result.before.noise_floor_from;
-    let file = model_file(&result.fit, before, run, &result.ladder, floor);
+    let file = model_file(&result.fit, before, run, &result.ladder, result.before.noise_floor_from);
     if let Some(path) = arguments.output.as_ref().filter(|_| result.accepted) {
         terminal.file(path, &file.to_toml())?;
         terminal.message(&format!("model written to {}", path.display()));
@@ -243,8 +242,7 @@ fn parameter(text: &str) -> Result<(String, toml::Value), Failure> {
     let Some((name, value)) = text.split_once('=') else {
         return Ok((text.trim().to_owned(), toml::Table::new().into()));
     };
-    let line = format!("value = {}", value.trim());
-    let mut table: toml::Table = line.parse().map_err(|_| {
+    let mut table: toml::Table = format!("value = {}", value.trim()).parse().map_err(|_| {
         Failure::usage(format!("--parameter {text:?} cannot be read"),
             "as --parameter a, --parameter ws=10 or --parameter 'ws={ guess = 10, min = 1, max = 40 }'",
         )

@@ -47,8 +47,7 @@ impl TextArguments {
     pub(super) fn words(&self) -> String {
         let skip = self.skip.map(|lines| option_words(("skip", &lines.to_string())));
         let missing = self.missing.as_ref().map(ToString::to_string);
-        let missing = missing.map(|cells| option_words(("missing", &cells)));
-        skip.into_iter().chain(missing).collect()
+        skip.into_iter().chain(missing.map(|cells| option_words(("missing", &cells)))).collect()
     }
 }
 
@@ -120,11 +119,9 @@ impl MapArguments {
         map: Option<&ColumnMap>,
         terminal: &Terminal,
     ) -> Result<LoadedRun, Failure> {
-        let items = map.map(ColumnMap::items).unwrap_or_default();
         // A header that names another unit than its target's, with no factor in the map.
-        let finding = items.iter().find_map(|item| {
-            let target = item.target.map_or("time_s", Channel::key);
-            sanity::of_header(target, &item.header, item.scaled)
+        let finding = map.map(ColumnMap::items).unwrap_or_default().iter().find_map(|item| {
+            sanity::of_header(item.target.map_or("time_s", Channel::key), &item.header, item.scaled)
         });
         if let Some(finding) = finding {
             let (headline, help) =

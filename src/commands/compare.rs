@@ -116,13 +116,11 @@ fn both(
 fn check_fit(comparison: &Comparison, min_fit: Option<f64>) -> Result<(), Failure> {
     let Some(least) = min_fit else { return Ok(()) };
     if !least.is_finite() {
-        let headline = format!("--min-fit {least} is not a number of per cent");
-        return Err(Failure::new(USAGE, headline));
+        return Err(Failure::new(USAGE, format!("--min-fit {least} is not a number of per cent")));
     }
     let figures = SignalFigures::all(&comparison.signals);
     if figures.is_empty() {
-        let headline = "no signal is in both runs: there is no fit to judge";
-        return Err(Failure::new(REFUSED, headline));
+        return Err(Failure::new(REFUSED, "no signal is in both runs: there is no fit to judge"));
     }
     for figure in figures {
         let found = figure.holdout.fit_percent;

@@ -73,8 +73,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     arguments.more.refuse()?;
     let on_screen = &arguments.on_screen;
     if on_screen.screen {
-        let help = "leave --screen out: the answer is printed as text";
-        view::needs_terminal("--screen", help)?;
+        view::needs_terminal("--screen", "leave --screen out: the answer is printed as text")?;
     }
     output::refuse_existing(&on_screen.output, "--output")?;
     output::refuse_existing(&arguments.html, "--html")?;

@@ -107,8 +107,7 @@ const WIDTH: usize = 96;
 /// `text` under `title`, whose column is `room` wide, broken between words.
 fn block(title: &str, room: usize, text: &str) -> String {
     let rows = wrapped(text, WIDTH - room);
-    let indent = format!("\n{:room$}", "");
-    format!("{title:<room$}{}\n", rows.join(indent.as_str()))
+    format!("{title:<room$}{}\n", rows.join(format!("\n{:room$}", "").as_str()))
 }
 
 fn list_text(entries: &[Entry]) -> String {
@@ -125,8 +124,7 @@ fn list_text(entries: &[Entry]) -> String {
 }
 
 fn card_document((card, parameters): Entry) -> Document {
-    let title = format!("{} ({})", card.name, card.id);
-    let mut document = Document::of(Tone::Plain, "", title);
+    let mut document = Document::of(Tone::Plain, "", format!("{} ({})", card.name, card.id));
     let enters = match card.enters {
         Enters::Voltage => "the voltage balance, subtracted from the voltage applied",
         Enters::Torque => "the torque balance, subtracted from the torque of the motor",

@@ -163,8 +163,7 @@ fn guise(profile: &DriveProfile, watchdog_ms: Option<f64>) -> Result<Option<Guis
             Ok(Some(Guise { watchdog_s: Some(ms * 1e-3), ..guise }))
         }
         (Some(_), Some(ms)) => {
-            let headline = format!("--watchdog-ms {ms} is not allowed");
-            Err(Failure::usage(headline, "allowed: 0 to 60000"))
+            Err(Failure::usage(format!("--watchdog-ms {ms} is not allowed"), "allowed: 0 to 60000"))
         }
         (None, Some(_)) => Err(Failure::usage(
             "--watchdog-ms is for the profile of another drive",

@@ -129,8 +129,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
                 let runs = arguments.runs.len();
                 let headline =
                     format!("--load-torque with {runs} runs is not allowed (expected one)");
-                let help = "a trace over time belongs to one run";
-                return Err(Failure::usage(headline, help));
+                return Err(Failure::usage(headline, "a trace over time belongs to one run"));
             }
             let scenario = Scenario::from_run(&loaded.run)?;
             let mut run = loaded.run;

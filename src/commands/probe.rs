@@ -514,8 +514,7 @@ impl Survey {
     }
 
     fn push(&mut self, profile: &DriveProfile, fit: Fit, reason: String) {
-        let profile = profile.name.clone();
-        self.profiles.push(Tried { profile, fit, reason });
+        self.profiles.push(Tried { profile: profile.name.clone(), fit, reason });
     }
 }
 

@@ -227,9 +227,8 @@ struct WriteArguments {
 fn write(arguments: &WriteArguments, terminal: &Terminal) -> Result<(), Failure> {
     let address = arguments.address.number;
     if arguments.address.table == Some(CellTable::Input) {
-        let headline = format!("{address} is an input register, which nothing writes");
         return Err(Failure::usage(
-            headline,
+            format!("{address} is an input register, which nothing writes"),
             "holding registers are 4x1, 400001, or protocol addresses",
         ));
     }

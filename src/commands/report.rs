@@ -78,8 +78,7 @@ impl Reported {
         document.say("outcome", self.outcome.as_deref(), 1);
         document.say("stopped", self.stop.as_ref().map(Stop::sentence), 1);
         document.say("last 2 s", self.trip.map(last_rows), 1);
-        let pictures = self.pictures.iter();
-        document.say("picture", pictures.map(|path| path.display().to_string()), 1);
+        document.say("picture", self.pictures.iter().map(|path| path.display().to_string()), 1);
         match &self.page {
             Some(page) => document.ends_with(page.display().to_string()),
             None => document.say("page", ["none: name one with --output PAGE.html"], 1),
@@ -132,12 +131,11 @@ fn report(arguments: &Arguments, terminal: &Terminal) -> Result<Reported, Failur
     };
     let run = &loaded.run;
     let times = run.time_s();
-    let ends = times.first().zip(times.last());
     Ok(Reported {
         run: Some(run.name.clone()),
         rows: Some(run.rows()),
         rows_dropped: Some(run.rows_dropped),
-        duration_s: ends.map(|(first, last)| last - first),
+        duration_s: times.first().zip(times.last()).map(|(first, last)| last - first),
         outcome: loaded.manifest.as_ref().and_then(|m| m.outcome.clone()),
         stop: loaded.manifest.as_ref().and_then(pages::stop),
         trip: loaded.manifest.as_ref().and_then(|m| serde_json::from_value(m.trip.clone()).ok()),

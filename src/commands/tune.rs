@@ -88,8 +88,7 @@ fn timing(arguments: &Arguments) -> Result<LoopTiming, Failure> {
         if !(least..=most).contains(&value) {
             let range = format!("{least} to {most}{unit}");
             let headline = format!("--{what} {value} is not allowed (expected {range})");
-            let help = "drivebench tune --help shows the defaults";
-            return Err(Failure::usage(headline, help));
+            return Err(Failure::usage(headline, "drivebench tune --help shows the defaults"));
         }
     }
     let period_s = 1.0 / arguments.rate_hz;

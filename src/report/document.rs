@@ -217,8 +217,7 @@ impl Document {
         spare: &'static [&'static str],
         least: usize,
     ) {
-        let table = table.into();
-        self.put(label.into(), Some(least), Content::Table { table, spare });
+        self.put(label.into(), Some(least), Content::Table { table: table.into(), spare });
     }
 
     pub fn bars(&mut self, label: impl Into<String>, bars: Bars) {

@@ -93,8 +93,7 @@ pub(super) fn others(document: &mut Document, diagnosis: &Diagnosis) {
     };
     let pairs = diagnosis.confusable.iter();
     let pairs = pairs.filter(|[one, other]| !is_paired(one, other) && !is_paired(other, one));
-    let pairs = pairs.map(|[one, other]| not_distinguished(one, other));
-    document.say("rival", rivals.chain(pairs), 1);
+    document.say("rival", rivals.chain(pairs.map(|[one, other]| not_distinguished(one, other))), 1);
     let with = |status: Status| {
         let of_status = unnamed.clone().filter(move |own| own.status == status);
         of_status.filter(|own| own.as_good_as.is_none())

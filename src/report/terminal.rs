@@ -35,8 +35,7 @@ pub struct Row {
 
 impl Row {
     fn of(text: impl Into<String>) -> Self {
-        let text = text.into();
-        Self { text, ..Self::default() }
+        Self { text: text.into(), ..Self::default() }
     }
 }
 
@@ -50,8 +49,7 @@ impl fmt::Display for Row {
 fn labelled(label: &str, texts: Vec<String>, width: usize) -> Vec<Row> {
     let (wide, mut rows) = (width >= WIDE, Vec::new());
     if !wide && !label.is_empty() && !texts.is_empty() {
-        let label = cut(label, width);
-        rows.push(Row { label, text: String::new() });
+        rows.push(Row { label: cut(label, width), text: String::new() });
     }
     let indent = if wide { LABEL } else { INDENT };
     rows.extend(texts.into_iter().enumerate().map(|(index, text)| {
@@ -84,8 +82,7 @@ impl Block {
             Content::Bars(bars) => bars_in_cells(bars, shown, room),
             Content::Table { table, spare } => {
                 let rows = table.rows[..shown].to_vec();
-                let head = table.head.clone();
-                Table { head, rows }.fitted(room, spare)
+                Table { head: table.head.clone(), rows }.fitted(room, spare)
             }
             Content::Heading(_) | Content::Figure { .. } | Content::Notice(_) => Vec::new(),
         };

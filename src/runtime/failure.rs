@@ -41,8 +41,7 @@ impl Failure {
     /// With this next step, where there is one.
     #[must_use]
     pub fn helped_by(self, help: Option<impl Into<String>>) -> Self {
-        let help = help.map(Into::into).or(self.help);
-        Self { help, ..self }
+        Self { help: help.map(Into::into).or(self.help), ..self }
     }
 
     /// With a remark behind the headline, where there is one.

@@ -321,8 +321,7 @@ impl Rig {
     /// Predicts the sequence with this seed; refuses it where a limit would be exceeded.
     pub(crate) fn plan(&self, seed: u64) -> Result<Plan, Failure> {
         let (nameplate, rate_hz) = (self.nameplate()?, self.bench.link.rate_hz);
-        let limit_a = self.drive_current_limit_a();
-        let plan = plan_run(&self.bench, seed, &nameplate, rate_hz, limit_a)
+        let plan = plan_run(&self.bench, seed, &nameplate, rate_hz, self.drive_current_limit_a())
             .map_err(|error| failed_plan(&self.bench.name, error))?;
         if let Some(refusal) = plan.refusals.first() {
             return Err(Failure::usage(format!("plan refused: {refusal}"), refusal.help()));
@@ -366,8 +365,7 @@ impl Rig {
         let guard = self.guard(&motor);
         let session = if let Some(currents) = &self.bench.currents {
             let silence_s = self.bench.limits().link_silence_s;
-            let pilot = CurrentsPilot::new(currents, Some(seed), silence_s);
-            Session::new(Box::new(pilot), guard)
+            Session::new(Box::new(CurrentsPilot::new(currents, Some(seed), silence_s)), guard)
         } else {
             let brake = self.bench.load.brake();
             let hold_v = brake.map_or(0.0, |brake| brake.hold_current_a * motor.resistance_ohm);
@@ -760,8 +758,7 @@ impl Connection {
             }
             (Port::Tcp(_) | Port::Serial(_), _) => open(&address)?,
             (Port::Sim | Port::SimRtu | Port::Emulator, None) => {
-                let headline = "an emulator is requested and not configured";
-                return Err(Failure::internal(headline));
+                return Err(Failure::internal("an emulator is requested and not configured"));
             }
         };
         let reopener = if port.is_virtual() {

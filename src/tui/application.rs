@@ -158,8 +158,7 @@ struct Input {
 
 impl Input {
     fn new(now: Instant) -> Self {
-        let repeat = KeyRepeat::default();
-        Self { repeat, counted: now }
+        Self { repeat: KeyRepeat::default(), counted: now }
     }
 
     /// Presses in their order. A frame without a key has the same length whatever else wakes the loop: a delayed stop key comes

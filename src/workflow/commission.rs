@@ -235,10 +235,9 @@ impl Commission {
         let (evidence, baseline) = evidence.with_baseline(&nameplate)?;
         let evidence = evidence.with_repeat(&baseline.model, repeat.clone())?;
         let confirming = Evidence { holdout: confirm.clone(), ..evidence.clone() };
-        let known = baseline.parameters.iter().filter(|p| p.value.is_some());
         let line = format!(
             "{} of {} parameters, {} iterations",
-            known.count(),
+            baseline.parameters.iter().filter(|p| p.value.is_some()).count(),
             baseline.parameters.len(),
             baseline.iterations
         );

@@ -11,10 +11,9 @@ const NEXT: &str = "-next-";
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
     // A drive for this motor gives at most twice its rated current.
-    let most_a = 2.0 * bench.motor.rated_current_a;
     ExperimentLimits {
         voltage_v: limits.voltage_v,
-        current_a: limits.current_a.min(most_a),
+        current_a: limits.current_a.min(2.0 * bench.motor.rated_current_a),
         speed_rad_s: limits.speed_rad_s,
         rms_current_a: bench.motor.rated_current_a,
         travel_rad: limits.travel_rad,

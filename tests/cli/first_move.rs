@@ -68,8 +68,7 @@ fn a_vertical_load_is_held_while_its_brake_moves() {
     let events = desk.read("events.jsonl");
     let at = |words: &str| events.find(words).unwrap_or_else(|| panic!("{words}: {events}"));
     // Held, then moved; at rest, then shut, then off.
-    let order = ["releases", "\"running\"", "applies", "\"stopping\""].map(at);
-    assert!(order.is_sorted(), "{events}");
+    assert!(["releases", "\"running\"", "applies", "\"stopping\""].map(at).is_sorted(), "{events}");
     let samples = desk.read("samples.csv");
     let (angles, volts) = (column(&samples, "angle_rad"), column(&samples, "voltage_cmd_v"));
     // The load is lifted and never sinks below where it hung.

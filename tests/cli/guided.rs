@@ -25,8 +25,7 @@ fn the_whole_loop_is_driven_by_keys() {
     let hidden = "\n[[hidden]]\nid = \"current_offset\"\noffset_a = 0.3\n";
     fs::write(&emulator, format!("{PLAIN}{hidden}")).unwrap();
     // With the time that the reference of the speed loop takes.
-    let text = weak_bench(&emulator).replace("time_s = 7.5", "time_s = 30.0");
-    fs::write(&bench, text).unwrap();
+    fs::write(&bench, weak_bench(&emulator).replace("time_s = 7.5", "time_s = 30.0")).unwrap();
     let arguments = line("commission {} --port sim: --seed 5 --out runs", &[&bench]);
     let mut session = Session::start(arguments, desk.folder(), (160, 50));
 

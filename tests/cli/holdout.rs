@@ -164,8 +164,7 @@ fn holes_and_dropped_rows_are_on_stderr_and_on_both_pages() {
         for text in [&said, &page] {
             has(text, &["run.csv: 60 of ", "again.csv: 60 of ", "of voltage_v are missing"]);
         }
-        let dropped = "Rows of the file that were dropped: 1";
-        assert!(page.contains(dropped), "{command}: {page}");
+        assert!(page.contains("Rows of the file that were dropped: 1"), "{command}: {page}");
     }
 }
 

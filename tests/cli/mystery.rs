@@ -98,8 +98,7 @@ fn an_unexplained_error_is_reported_with_its_curve() {
 #[test]
 fn a_split_run_names_nothing_that_only_leans_on_what_is_there() {
     let seed = 34;
-    let truth = draw(seed).truth;
-    assert_eq!(truth.effect().map(|effect| effect.id.as_str()), Some("torque_bump"));
+    assert_eq!(draw(seed).truth.effect().map(|effect| effect.id.as_str()), Some("torque_bump"));
     let room = Desk::new();
     let out = room.path("runs");
     let text = format!("run --port sim: --headless --mystery {seed} --run-seed 1 --out {{}}");

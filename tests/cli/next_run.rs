@@ -40,8 +40,7 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     let rivals = weak["confusable"].to_string();
     has(&rivals, &["current_offset"]);
     let recommended = &weak["next_experiment"];
-    let expected = recommended["expected_separation"].as_f64();
-    assert!(expected.is_some_and(|d| d > 1e3), "{recommended}");
+    assert!(recommended["expected_separation"].as_f64().is_some_and(|d| d > 1e3), "{recommended}");
 
     call("diagnose {} --bench {}", &[&run, &at("no.toml")]).fails(2, &["no.toml"]);
 

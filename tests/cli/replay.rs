@@ -138,8 +138,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
         assert!((ratio - 1.0).abs() < 0.01, "{key} {ratio}");
     }
     // Without speed nothing can be told, and the reader learns why.
-    let text = "replay {} --json --map time_s=t,current_a=current_a";
-    let done = call(text, &[&foreign]).expect(0);
+    let done = call("replay {} --json --map time_s=t,current_a=current_a", &[&foreign]).expect(0);
     has(&done.stderr, &["no speed_rad_s"]);
     assert_eq!(done.json()["parameters"]["inertia_kg_m2"]["value"], Value::Null);
 }

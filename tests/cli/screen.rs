@@ -13,8 +13,7 @@ fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
 /// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
 pub(crate) fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
-    let rows = NonZero::new(400).expect("more than none");
-    session.screen.screen_mut().set_size(rows, columns);
+    session.screen.screen_mut().set_size(NonZero::new(400).expect("more than none"), columns);
 }
 
 const ADD: &str = "a add";
@@ -155,8 +154,7 @@ fn ctrl_z_halts_the_whole_job_and_fg_brings_the_screen_back() {
     let runs = Runs::hidden();
     let mut arguments = line("-c {} shell", &[Path::new(JOB)]);
     arguments.push(BINARY.into());
-    let command = "diagnose {} --holdout {} --screen";
-    arguments.extend(line(command, &[&runs.fit, &runs.holdout]));
+    arguments.extend(line("diagnose {} --holdout {} --screen", &[&runs.fit, &runs.holdout]));
     let mut session = Session::of("sh", arguments, folder.folder(), (100, 30));
     session.wait_for(ADD);
     session.press("\u{1a}");

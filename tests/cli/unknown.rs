@@ -148,8 +148,7 @@ fn a_dangerous_nameplate_is_refused_unless_called_unknown() {
 
     let told = BENCH.replace("# unknown = false", "unknown = true");
     let bench = out.put("bench.toml", &told);
-    let options = "{} --emulator small-servo-behind-zk-22fc";
-    let done = out.simulate("run", options, &[&bench]).expect(0);
+    let done = out.simulate("run", "{} --emulator small-servo-behind-zk-22fc", &[&bench]).expect(0);
     assert_eq!(done.json()["escalation"]["nameplate"]["fits"], false);
     assert_eq!(done.json()["nameplate"]["fits"], false);
 }
@@ -157,8 +156,7 @@ fn a_dangerous_nameplate_is_refused_unless_called_unknown() {
 #[test]
 fn the_whole_loop_goes_on_from_the_motor_that_was_found() {
     let out = Desk::new();
-    let options = "--escalate --emulator zk-22fc-hidden";
-    let done = out.simulate("commission", options, &[]).expect(0);
+    let done = out.simulate("commission", "--escalate --emulator zk-22fc-hidden", &[]).expect(0);
     let result = done.json();
     assert_eq!(result["escalation"]["outcome"], "found");
     assert_eq!(result["nameplate"]["fits"], true);

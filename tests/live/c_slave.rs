@@ -39,8 +39,7 @@ fn drive(desk: &Desk, link: &str) -> Emulator {
     command.args(["--link", link, "--pty"]).arg(&port);
     let drive = Emulator::of(Process::of(command));
     let port = port.display();
-    let wanted = format!("ready {link} {port} unit=1 baud=115200 profile=own\n");
-    assert_eq!(drive.ready, wanted);
+    assert_eq!(drive.ready, format!("ready {link} {port} unit=1 baud=115200 profile=own\n"));
     drive
 }
 

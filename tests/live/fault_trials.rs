@@ -100,8 +100,7 @@ fn the_table_has_forty_faults_and_each_can_happen() {
     assert!(FAULTS.len() > 40);
     for fault in FAULTS {
         assert!(fault.ways().next().is_some(), "{fault}");
-        let same = FAULTS.iter().filter(|other| other.name == fault.name);
-        assert_eq!(same.count(), 1, "{fault}");
+        assert_eq!(FAULTS.iter().filter(|other| other.name == fault.name).count(), 1, "{fault}");
         assert!(!fault.statuses.is_empty(), "{fault}");
     }
 }

@@ -182,8 +182,7 @@ fn a_drive_that_falls_silent_and_comes_back_is_stopped() {
     lab.event("link_lost");
     sleep(Duration::from_secs(1));
     drive.process.signal(Signal::SIGCONT);
-    let done = run.end().fails(3, &["link silent"]);
-    assert_eq!(done.json()["reopened"]["ending"], "stopped");
+    assert_eq!(run.end().fails(3, &["link silent"]).json()["reopened"]["ending"], "stopped");
     lab.is_kept_as_lost();
 }
 
@@ -195,8 +194,7 @@ fn a_search_ends_with_ctrl_c_or_its_time_or_at_once() {
     // 1 s of watchdog and 10 s would be its time.
     assert_eq!(lab.event("link_lost")["reopens_for_s"], 11.0);
     run.signal(Signal::SIGINT);
-    let done = run.end().expect(3);
-    assert_eq!(done.json()["reopened"]["ending"], "interrupted");
+    assert_eq!(run.end().expect(3).json()["reopened"]["ending"], "interrupted");
     assert!(lab.event("reopened")["downtime_s"].as_f64() < Some(8.0));
 
     at_once([("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")], |(option, ending)| {

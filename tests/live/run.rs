@@ -107,8 +107,7 @@ fn a_unit_that_is_not_there_is_status_3_soon() {
     let lab = Lab::new("modbus-rtu");
     let start = now();
     let bench = BenchFile::short("modbus-rtu");
-    let link = format!("{}\nunit = 9", bench.link);
-    lab.run(&BenchFile { link, ..bench }).expect(3).error();
+    lab.run(&BenchFile { link: format!("{}\nunit = 9", bench.link), ..bench }).expect(3).error();
     assert!(start.elapsed() < Duration::from_secs(20));
     assert!(!lab.desk.out().exists(), "a run without a drive");
 }
@@ -226,8 +225,7 @@ fn a_motor_faster_than_its_nameplate_is_a_safety_trip() {
     });
     done.fails(4, &["speed"]);
     let manifest = lab.desk.manifest();
-    let outcome = manifest["outcome"].as_str().unwrap_or_default();
-    assert!(outcome.contains("trip"), "{manifest:#}");
+    assert!(manifest["outcome"].as_str().unwrap_or_default().contains("trip"), "{manifest:#}");
     assert_eq!(manifest["finished"], true);
     // It brakes within the current limit, so the output may take a moment to reach zero.
     wait_for("zero output", || {

@@ -92,8 +92,7 @@ fn the_record_is_whole(desk: &Desk, found: &Value) {
     }
     let events = read("events.jsonl");
     let gains: Vec<&str> = events.lines().filter(|line| line.contains("\"gains\"")).collect();
-    let told = found["loop"]["gain_changes"].as_array().expect("changes");
-    assert_eq!(gains.len(), told.len());
+    assert_eq!(gains.len(), found["loop"]["gain_changes"].as_array().expect("changes").len());
     assert!(gains[0].contains("Kp") && gains[0].contains("reason"), "{}", gains[0]);
     assert!(read("model.toml").contains("inertia_kg_m2 = 0.02276"));
     let result = read_json(folder.join("result.json"));

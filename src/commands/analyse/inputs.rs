@@ -16,8 +16,7 @@ pub(super) fn runs(named: &[PathBuf]) -> Result<Vec<PathBuf>, Failure> {
     // By canonical path: a run that is named twice, or also by a link, is one run.
     let mut found: BTreeMap<PathBuf, PathBuf> = BTreeMap::new();
     let mut add = |path: PathBuf| {
-        let canonical = fs::canonicalize(&path).unwrap_or_else(|_| path.clone());
-        found.entry(canonical).or_insert(path);
+        found.entry(fs::canonicalize(&path).unwrap_or_else(|_| path.clone())).or_insert(path);
     };
     for path in named {
         if path.exists() {

@@ -356,8 +356,7 @@ mod tests {
     fn a_failed_diagnosis_leaves_the_status_of_the_run() {
         let refused = || Err(Failure::usage("the hold-out is short", ""));
         let mut found = Found::default();
-        let unread = (Status::Unread, "the hold-out is short".to_owned());
-        assert_eq!(judged(refused(), &found), unread);
+        assert_eq!(judged(refused(), &found), (Status::Unread, "the hold-out is short".to_owned()));
         found.about = Some(About::default());
         let (status, _) = judged(refused(), &found);
         assert_eq!(status, Status::NotIdentified);

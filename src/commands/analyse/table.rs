@@ -60,9 +60,8 @@ impl Table {
         if !resume {
             output::refuse_existing([path], "--out")?;
             if part.exists() {
-                let headline = format!("{}: rows of an unfinished analysis", part.display());
                 return Err(Failure::usage(
-                    headline,
+                    format!("{}: rows of an unfinished analysis", part.display()),
                     "continue it with --resume, or move the file away",
                 ));
             }
@@ -83,9 +82,8 @@ impl Table {
         let mut journal =
             options.read(true).append(true).create(true).open(&part).map_err(cannot)?;
         if let Err(TryLockError::WouldBlock) = journal.try_lock() {
-            let headline = format!("{}: another analysis writes it", part.display());
             return Err(Failure::usage(
-                headline,
+                format!("{}: another analysis writes it", part.display()),
                 "wait for its end, or give another name to --out",
             ));
         }

@@ -76,8 +76,7 @@ impl OwnDrive {
 
 impl Drop for OwnDrive {
     fn drop(&mut self) {
-        let ended = process::end(&mut self.child, 10.0);
-        if matches!(ended, Ok(None)) && !self.is_network {
+        if matches!(process::end(&mut self.child, 10.0), Ok(None)) && !self.is_network {
             // The name would lead to whichever drive is given the terminal's number next.
             let _ = fs::remove_file(&self.address);
         }

@@ -243,12 +243,11 @@ impl Export {
     }
 
     fn names<'a>(&'a self, term: &'a Term) -> Names<'a> {
-        let number = self.states.iter().position(|effect| *effect == term.effect);
         Names {
             program: &self.name,
             effect: term.effect,
             keys: &term.keys,
-            state: number.unwrap_or(0),
+            state: self.states.iter().position(|effect| *effect == term.effect).unwrap_or(0),
         }
     }
 }
@@ -302,10 +301,9 @@ fn is_zero_path(active: &ActiveEffect) -> bool {
 }
 
 fn why_no_formula(active: &ActiveEffect) -> String {
-    let terms = active.effect.terms(&active.values_or_guess());
     let reason = match active.effect.card().enters {
         Enters::Path => "it delays the command or the measurement, which needs earlier samples",
-        _ if terms.coupling().is_some() => {
+        _ if active.effect.terms(&active.values_or_guess()).coupling().is_some() => {
             "it is a second inertia with play and friction, and the exported step function has one inertia"
         }
         _ => "its curve closes over a turn of the shaft",

@@ -111,8 +111,7 @@ impl Panel {
     }
 
     fn with(mut self, label: impl Into<String>, style: Style, pieces: Pieces) -> Self {
-        let label = label.into();
-        self.series.push(Series { label, style, pieces });
+        self.series.push(Series { label: label.into(), style, pieces });
         self
     }
 

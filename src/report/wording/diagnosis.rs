@@ -76,11 +76,10 @@ fn body(found: &Diagnosis) -> (&'static str, String) {
             return ("", nothing);
         }
         DiagnosisVerdict::None if found.is_refuted() => {
-            let there = found.confirm.as_ref().and_then(|confirm| confirm.error_before);
             let refuted = format!(
                 "the held-out error is {before:.2} {times}, but on the confirming run it is {:.2}: something is missing that \
                  only that run shows",
-                there.unwrap_or(f64::NAN)
+                found.confirm.as_ref().and_then(|confirm| confirm.error_before).unwrap_or(f64::NAN)
             );
             return ("", refuted);
         }

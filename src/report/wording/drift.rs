@@ -192,8 +192,7 @@ mod tests {
             "drifted since 2026-03-01: friction (load torque) +12 % (95 % interval +10 to +14 %)"
         );
         let near_zero = between(&[run(0.001, 0.01)], &[run(0.2, 0.01)], "May");
-        let size = size(&near_zero.changes[0]);
-        assert_eq!(size, "+0.20 N.m (95 % interval +0.17 to +0.23 N.m)");
+        assert_eq!(size(&near_zero.changes[0]), "+0.20 N.m (95 % interval +0.17 to +0.23 N.m)");
         let caution = caution(&found).unwrap();
         assert!(caution.starts_with("one run on each side: the variation"), "{caution}");
     }

@@ -111,9 +111,8 @@ mod tests {
             let text = residual(&found);
             assert!(text.starts_with(begin) && text.ends_with(end), "{text}");
         }
-        let details = details(&lights(true, Some(false)));
         assert_eq!(
-            details,
+            details(&lights(true, Some(false))),
             [
                 "speed error is correlated with the input (2.2); in brackets: multiples of the 99 % band"
             ]

@@ -586,8 +586,7 @@ fn in_every_state_space_stops_and_ctrl_c_stops_then_quits() {
             assert_eq!(press(&mut hanging, Press::Interrupt), STOP_AND_QUIT);
         }
         // The third leaves a worker that does not come back.
-        let third = press(&mut hanging, Press::Interrupt);
-        assert!(third.contains(&Effect::Leave(Exit::Forced)));
+        assert!(press(&mut hanging, Press::Interrupt).contains(&Effect::Leave(Exit::Forced)));
     }
 }
 

@@ -215,10 +215,9 @@ fn live_page(model: &Model, area: Rect, buffer: &mut Buffer) {
     };
     // A provisional ranking is not a result of the run.
     let is_recorded = !model.is_finished() && model.snapshot.phase.is_some_and(Phase::is_recorded);
-    let rank_rows = u16::from(is_recorded && area.height >= 9);
     let [body, ranking, bottom] = Layout::vertical([
         Constraint::Fill(1),
-        Constraint::Length(rank_rows),
+        Constraint::Length(u16::from(is_recorded && area.height >= 9)),
         Constraint::Length(notice_rows),
     ])
     .areas(area);
@@ -416,8 +415,7 @@ impl Banner {
             let style = if snapshot.stop_error.is_none() { style } else { theme::ALARM };
             (title, format!("{text}{how}.{end}"), style)
         };
-        let title = format!(" {title} ");
-        Some(Self { title, text, style })
+        Some(Self { title: format!(" {title} "), text, style })
     }
 
     /// Rows that it takes, with its frame, in a screen of this width.

@@ -96,13 +96,12 @@ pub fn golden(name: &str, runs: &[GoldenRun], target: &SuiteTarget) -> Result<Go
     for run in runs {
         cases.entry(admit(run)?).or_default().push(run);
     }
-    let names = runs.iter().map(|run| format!("#   {}", run.name));
     let mut text = format!(
         "# Limits of a machine from its runs, by `drivebench init --suite`:\n{}\n\
          # Where the intervals of the parameters are right, one case in {} fails by chance. More runs, on different days,\n\
          # include the variation from day to day in the limits.\n\n\
          name = {}\n",
-        names.collect::<Vec<_>>().join("\n"),
+        runs.iter().map(|run| format!("#   {}", run.name)).collect::<Vec<_>>().join("\n"),
         FALSE_ALARMS,
         quoted(name)
     );
