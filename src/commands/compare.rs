@@ -54,7 +54,7 @@ pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), 
     let shown = terminal.progress("compare");
     let model = match arguments.model.as_slice() {
         [_, _] if arguments.screen => {
-            let help = "--screen shows one model beside the run";
+            let help = "--screen shows one model with the run";
             return Err(Failure::usage("two models are given with --screen", help));
         }
         [first, second] => return both(arguments, first, second, terminal, shown),

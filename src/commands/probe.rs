@@ -471,7 +471,7 @@ impl Fit {
     const fn text(self) -> &'static str {
         match self {
             Self::Matches => "matches",
-            Self::CannotBeTold => "cannot be told",
+            Self::CannotBeTold => "undecided",
             Self::No => "no",
             Self::NoAnswer => "no answer",
             Self::NotTried => "not tried",

@@ -53,7 +53,7 @@ pub(crate) fn needs_terminal(what: &str, help: &str) -> Result<(), Failure> {
     Err(Failure::usage(format!("{what}: standard output is not a terminal"), help))
 }
 
-/// Shows the complete model beside its runs until the screen is left.
+/// Shows the complete model with its runs until the screen is left.
 pub(crate) fn show(
     prepared: &Prepared,
     error_of: ErrorOf,

@@ -60,7 +60,7 @@ fn labelled(label: &str, texts: Vec<String>, width: usize) -> Vec<Row> {
     rows
 }
 
-/// Columns that are left beside a label.
+/// Columns of the text next to a label.
 const fn room(width: usize) -> usize {
     let room = width.saturating_sub(if width >= WIDE { LABEL } else { INDENT });
     if room > 0 { room } else { 1 }

@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! RigOptions -> Rig (link, clock, emulator, files) --.
-//!                                                     '-> a run on a thread of its own beside a screen -> Recorded
+//!                                                     '-> a run on a thread of its own, shown by a screen -> Recorded
 //! signals, keys, a closed terminal -> Ends .. Controls ---^
 //! ending: return, failure, panic, hang-up -> zero, disable, the state of the drive -> exit status
 //! ```

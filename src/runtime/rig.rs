@@ -71,7 +71,7 @@ pub(crate) struct Switches {
     /// Write what goes over the wire into a new capture file (pcap, for Wireshark)
     #[arg(long, value_name = "FILE")]
     pub tap: Option<PathBuf>,
-    /// Write the samples of every run as columns too, samples.parquet beside samples.csv (a build with the feature parquet)
+    /// Write the samples of every run as columns too, samples.parquet next to samples.csv (a build with the feature parquet)
     #[arg(long)]
     pub parquet: bool,
 }

@@ -10,9 +10,9 @@ const NEXT: &str = "-next-";
 
 pub fn experiment_limits(bench: &BenchFile) -> ExperimentLimits {
     let limits = bench.limits();
-    // A drive for this motor gives at most twice its rated current.
     ExperimentLimits {
         voltage_v: limits.voltage_v,
+        // A drive for this motor gives at most twice its rated current.
         current_a: limits.current_a.min(2.0 * bench.motor.rated_current_a),
         speed_rad_s: limits.speed_rad_s,
         rms_current_a: bench.motor.rated_current_a,

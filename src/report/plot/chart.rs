@@ -155,7 +155,7 @@ impl Svg {
         self.text("unit middle", 0.5 * (x.from_px + x.to_px), level, name);
     }
 
-    /// Grid and labels of the values, each label beside its line.
+    /// Grid and labels of the values, each label next to its line.
     pub fn axis_upwards(&mut self, x: &Scale, y: &Scale, at: &[f64], labels: &[String]) {
         for (label, tick) in labels.iter().zip(at) {
             let class = if *tick == 0.0 { "grid zero" } else { "grid" };

@@ -1,4 +1,4 @@
-//! The likely map of a foreign log: why each column is taken, what speaks against it, what is missing, what is left out.
+//! The likely map of a foreign log: why each column is taken, the doubts about it, what is missing, what is left out.
 
 use drivebench_bench::column_proposal::{Doubt, Missing, Quantity, Reason, Unused};
 use drivebench_model::text::number::{percent, shortest, significant};

@@ -413,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_missing_only_where_that_is_said_without_reserve() {
+    fn nothing_is_missing_only_where_that_is_stated_without_reserve() {
         let of = |status: &str, sufficient: bool| {
             json!({ "diagnosis": {
                 "verdict": "none", "effects": [], "sufficient": sufficient,
