@@ -164,19 +164,19 @@ fn counts(name: &str, scheme: Scheme, sampling: Sampling) -> [Count; 5] {
 
 /// `most`: what an interval may cover at most; one that bounds an error of quadrature instead of a random one may cover
 /// all.
-fn check(name: &str, scheme: Scheme, most: f64, asked: std::ops::Range<usize>) {
+fn check(name: &str, scheme: Scheme, most: f64, keys: std::ops::Range<usize>) {
     let kinds = [Sampling::Regular, Sampling::Jittered, Sampling::Quantised, Sampling::Fast];
     let mut wrong = Vec::new();
     for sampling in kinds {
         let counts = counts(name, scheme, sampling);
-        for j in asked.clone() {
+        for j in keys.clone() {
             let count = counts[j];
             let share = count.share();
             let allowed = LEAST - count.tolerance(LEAST)..=most + count.tolerance(most);
             if !allowed.contains(&share) {
                 wrong.push(format!("{sampling:?} {} {share:.3}", KEYS[j].key()));
             }
-            // A scheme must not pass by saying nothing: L/R below the period may hide the inductance, nothing else.
+            // A scheme must not pass by giving no value: L/R below the period may hide the inductance, nothing else.
             let least = if j == 1 { 0.4 } else { 0.9 };
             if f64::from(count.valued) < least * (MOTORS * seeds()) as f64 && most < 1.0 {
                 wrong.push(format!("{sampling:?} {} valued {}", KEYS[j].key(), count.valued));

@@ -1,5 +1,5 @@
-//! Sizes of effects and the motor's parameters beside them: how often the truth lies within the deviations that are told, over
-//! machines whose effects have other forms than the catalogue's; and that `identify` tells those of `add`.
+//! Sizes of effects and the motor's other parameters: how often the truth lies within the deviations that are given, over
+//! machines whose effects have other forms than the catalogue's; and that `identify` gives those of `add`.
 //!
 //! ```text
 //! specimen, hidden effect -> two runs -> add --------------------> value, deviation -> within one, within 1.96?
@@ -27,7 +27,7 @@ use crate::diagnosis_on_emulator::record;
 const LEAST_OF_ONE: f64 = 0.85;
 const OF_ALL_WITHIN_ONE: [f64; 2] = [0.60, 0.80];
 const LEAST_OF_ALL: f64 = 0.92;
-/// Deviations that `identify` and `add` lie apart, and how much wider one may be, on most machines: one knows a run less of what
+/// Deviations that `identify` and `add` lie apart, and how much wider one may be, on most machines: one has a run less for what
 /// is random, and on a few the hold-out of `add` decides for other values.
 const APART: f64 = 1.0;
 const WIDER: std::ops::Range<f64> = 0.4..2.0;
@@ -39,13 +39,13 @@ const MOST_OF_FREE_RUN: f64 = 0.5;
 
 /// Error and deviation of a parameter.
 #[derive(Clone, Copy)]
-struct Told {
+struct Found {
     error: f64,
     std: f64,
 }
 
 /// Each parameter by the free run's own deviations, by `identify` and by `add`.
-type Machine = Vec<(String, [Told; 3])>;
+type Machine = Vec<(String, [Found; 3])>;
 
 fn machine(id: &str, seed: u64) -> Machine {
     let mut config = EmulatorConfig::embedded("zk-22fc-plain").unwrap();
@@ -77,21 +77,21 @@ fn machine(id: &str, seed: u64) -> Machine {
     let identified = known_along(&runs[0], free.clone()).0.parameters;
     let evidence = Evidence::new(runs[0].clone(), Some(runs[1].clone()), None);
     let added = add(effect, &nameplate, evidence).unwrap().fit.parameters;
-    let told = |all: &[ParameterEstimate], key: &str, truth: f64| {
+    let found = |all: &[ParameterEstimate], key: &str, truth: f64| {
         let own = all.iter().find(|own| own.key == key).unwrap();
-        Told { error: own.value.unwrap() - truth, std: own.std.unwrap() }
+        Found { error: own.value.unwrap() - truth, std: own.std.unwrap() }
     };
     let all = truths.into_iter().map(|(key, truth)| {
-        let each = [&free.parameters, &identified, &added].map(|all| told(all, &key, truth));
+        let each = [&free.parameters, &identified, &added].map(|all| found(all, &key, truth));
         (key, each)
     });
     all.collect()
 }
 
 /// How many of these lie within so many of their deviations.
-fn held(told: &[Told], sigmas: f64) -> f64 {
-    let within = told.iter().filter(|own| own.error.abs() <= sigmas * own.std);
-    within.count() as f64 / told.len() as f64
+fn held(found: &[Found], sigmas: f64) -> f64 {
+    let within = found.iter().filter(|own| own.error.abs() <= sigmas * own.std);
+    within.count() as f64 / found.len() as f64
 }
 
 fn tolerance(share: f64, of: usize) -> f64 {
@@ -108,12 +108,13 @@ fn judged(id: &str) -> Vec<(String, f64)> {
     for place in 0..machines[0].len() {
         let key = &machines[0][place].0;
         let [free, identified, added] = [0, 1, 2].map(|way: usize| {
-            machines.iter().map(|machine| machine[place].1[way]).collect::<Vec<Told>>()
+            machines.iter().map(|machine| machine[place].1[way]).collect::<Vec<Found>>()
         });
-        for (way, told) in [("free run alone", &free), ("identify", &identified), ("add", &added)] {
-            let (one, two) = (held(told, 1.0), held(told, 1.96));
-            let squares = told.iter().map(|own| (own.error / own.std).powi(2));
-            let rms = (squares.sum::<f64>() / told.len() as f64).sqrt();
+        for (way, found) in [("free run alone", &free), ("identify", &identified), ("add", &added)]
+        {
+            let (one, two) = (held(found, 1.0), held(found, 1.96));
+            let squares = found.iter().map(|own| (own.error / own.std).powi(2));
+            let rms = (squares.sum::<f64>() / found.len() as f64).sqrt();
             println!(
                 "{id:18} {way:15} {key:40} of {count:3}: {:5.1} % within one, {:5.1} % within 1.96, rms z {rms:.2}",
                 100.0 * one,

@@ -39,7 +39,7 @@ fn add(effect: &'static dyn Effect, model: &Model, evidence: &Evidence) -> AddRe
     drivebench::diagnosis::add(effect, model, evidence.clone()).unwrap()
 }
 
-/// What a diagnosis says of an effect.
+/// The candidate of an effect.
 fn candidate<'a>(diagnosis: &'a Diagnosis, id: &str) -> &'a Candidate {
     let mut candidates = diagnosis.candidates.iter();
     candidates.find(|candidate| candidate.effect == id).unwrap()
@@ -93,7 +93,7 @@ fn dosed(evidence: &Evidence, effect: &'static dyn Effect, values: &[f64]) -> Ev
     dosed
 }
 
-/// Size and standard deviation of the effect's first coefficient, fitted beside the model; no deviation where it is held at
+/// Size and standard deviation of the effect's first coefficient, fitted with the model; no deviation where it is held at
 /// zero because it would drive the shaft.
 fn size(model: &Model, evidence: &Evidence, effect: &'static dyn Effect) -> (f64, Option<f64>) {
     let first = &add(effect, model, evidence).parameters[0];
@@ -207,11 +207,11 @@ mod simulated {
     fn a_single_effect_is_named_in_a_messy_record() {
         for (id, values) in KNOWN {
             let found = diagnose(&nameplate(), &evidence(&truth(id, values), 1)).unwrap();
-            let said = sentence(&found);
-            assert_eq!(found.effect, Some(id), "{said}");
-            assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{said}");
-            assert_eq!(status(&found, id), Status::Supported, "{said}");
-            assert!(found.holdout_after < found.holdout_before, "{said}");
+            let text = sentence(&found);
+            assert_eq!(found.effect, Some(id), "{text}");
+            assert_eq!(found.verdict, DiagnosisVerdict::Effect, "{text}");
+            assert_eq!(status(&found, id), Status::Supported, "{text}");
+            assert!(found.holdout_after < found.holdout_before, "{text}");
             eprintln!("{}", evidence_of(&found.candidates[0]));
         }
         for seed in 0..6 {
@@ -269,7 +269,7 @@ mod simulated {
     }
 
     #[test]
-    fn the_confirming_run_has_the_last_word() {
+    fn the_confirming_run_decides() {
         let (id, values) = KNOWN[1];
         let truth = truth(id, values);
         let mut data = evidence(&truth, 1);
@@ -361,7 +361,7 @@ mod simulated {
     }
 }
 
-/// Several effects at once on an axis that a torque or a current drives, beside a disturbance with a memory: what is there is
+/// Several effects at once on an axis that a torque or a current drives, with a disturbance that has a memory: what is there is
 /// named, and nothing else.
 mod driven {
     use super::*;
@@ -453,7 +453,7 @@ mod driven {
             if k >= 200 && (k - 200) % 400 == 0 {
                 wanted = 60.0 * normal().clamp(-1.6, 1.6);
             }
-            // A speed loop gives the torque: smooth, and never at rest for long. The standstill before it tells the noise.
+            // A speed loop gives the torque: smooth, and never at rest for long. The standstill before it gives the noise.
             let torque = 0.06 * (wanted - shaft.speed_rad_s) + 0.4 * f64::signum(wanted);
             let torque = if k < 200 { 0.0 } else { torque.clamp(-2.0, 2.0) };
             level += 0.2 * (torque - level);
@@ -500,9 +500,9 @@ mod driven {
     fn finds_both(bench: Bench, seeds: Range<u64>) {
         for (seed, pair) in seeds.zip(PAIRS) {
             let found = named(&pair, bench, seed);
-            let said = sentence(&found);
-            assert_eq!(names(&found), pair.map(|(id, _)| id), "{seed}: {said}");
-            assert!(found.holdout_after < found.holdout_before, "{seed}: {said}");
+            let text = sentence(&found);
+            assert_eq!(names(&found), pair.map(|(id, _)| id), "{seed}: {text}");
+            assert!(found.holdout_after < found.holdout_before, "{seed}: {text}");
             for (id, _) in pair {
                 assert_eq!(status(&found, id), Status::Supported, "{seed} {id}");
             }
@@ -598,11 +598,11 @@ mod real {
         (data, start(1e-5, 0.001, &["viscous_friction"]))
     }
 
-    fn told(model: &Model, data: &Evidence) -> Diagnosis {
+    fn printed(model: &Model, data: &Evidence) -> Diagnosis {
         let found = diagnose(model, data).unwrap();
         eprintln!("{}; unknown {:?}", sentence(&found), found.unknown);
-        let asked = found.candidates.iter();
-        for one in asked.filter(|one| one.status != Status::NotExcited) {
+        let candidates = found.candidates.iter();
+        for one in candidates.filter(|one| one.status != Status::NotExcited) {
             let sizes = one.parameters.iter().map(|p| (&p.key, p.value, p.std));
             let (sizes, p): (Vec<_>, f64) = (sizes.collect(), one.probability);
             eprintln!("  {} {:?} {p:.3} {sizes:?}", evidence_of(one), one.status);
@@ -614,12 +614,12 @@ mod real {
     #[ignore = "needs DRIVEBENCH_DATA, a folder with records of real machines"]
     fn the_axis_misses_direction_dependent_viscous_friction() {
         let (data, model) = emps();
-        let found = told(&model, &data);
-        let said = sentence(&found);
-        assert_eq!(found.effect, Some("asymmetric_viscous"), "{said}");
+        let found = printed(&model, &data);
+        let text = sentence(&found);
+        assert_eq!(found.effect, Some("asymmetric_viscous"), "{text}");
         assert_eq!(found.verdict, DiagnosisVerdict::Effect);
         assert!(!found.sufficient);
-        assert_eq!(found.superfluous, ["constant_load"], "{said}");
+        assert_eq!(found.superfluous, ["constant_load"], "{text}");
         assert_ne!(status(&found, "stribeck_friction"), Status::Supported);
         let added = add(find("asymmetric_viscous"), &model, &data);
         let error = |side: &Comparison, method| {
@@ -647,7 +647,7 @@ mod real {
     #[ignore = "needs DRIVEBENCH_DATA, a folder with records of real machines"]
     fn the_propeller_is_a_quadratic_load() {
         let (data, model) = propeller();
-        let found = told(&model, &data);
+        let found = printed(&model, &data);
         assert_eq!(found.effect, Some("quadratic_load"), "{}", sentence(&found));
     }
 
@@ -661,7 +661,7 @@ mod real {
             let halves = diagnose(&model, &swapped(&data)).unwrap();
             assert_eq!(halves.effect, Some(name), "{name}: halves");
             let explained = add(find(name), &model, &data).fit.model;
-            // Only what the model does not have yet can be found beside it.
+            // Only what the model does not have yet can be found.
             let without = explained.without_effect(other);
             let base = without.as_ref().unwrap_or(&explained);
             for (id, unit, base) in [(name, unit, &model), (other, other_unit, base)] {

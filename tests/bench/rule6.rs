@@ -56,8 +56,8 @@ impl Dose {
 /// What the background holds besides the coloured torque: these names are right too.
 const BACKGROUND: [&str; 4] = ["viscous_friction", "cogging", "command_delay", "supply_sag"];
 const STUDY_LEVEL: f64 = 1.0;
-/// Doses in units of the size that the program says it would name in the record without a dose; and from where on it must
-/// keep that word.
+/// Doses in units of the size that the program states as detectable in the record without a dose; and from where on it must
+/// do so.
 const MULTIPLES: [f64; 6] = [0.25, 0.5, 1.0, 1.5, 2.0, 4.0];
 const FEW_MULTIPLES: [f64; 2] = [1.5, 4.0];
 const KEPT: f64 = 1.5;
@@ -74,20 +74,20 @@ fn evidence(hidden: &[HiddenEffect], machine: u64) -> Evidence {
     Evidence::new(run(0), Some(run(1)), None)
 }
 
-/// Size and standard deviation of the effect, fitted beside the model.
+/// Size and standard deviation of the effect, fitted with the model.
 fn size_of(id: &str, model: &Model, data: &Evidence) -> (f64, f64) {
     let added = add(effect::find(id).unwrap(), model, data.clone()).unwrap();
     let first = &added.parameters[0];
     (first.value.unwrap(), first.std.unwrap_or(f64::NAN))
 }
 
-/// In the answer, or left open beside a name of the answer.
+/// In the answer, or left open with a name of the answer.
 fn is_named(found: &Diagnosis, id: &str) -> bool {
     let mut rivals = found.confusable.iter().flatten();
     found.effects.contains(&id) || rivals.any(|rival| *rival == id)
 }
 
-/// Names that are neither the dose nor in the background, and were not left open beside one that is.
+/// Names that are neither the dose nor in the background, and were not left open with one that is.
 fn wrong(found: &Diagnosis, id: &str) -> Vec<&'static str> {
     let is_right = |name: &str| name == id || BACKGROUND.contains(&name);
     let is_open = |name: &str| {
@@ -166,8 +166,8 @@ fn doses_are_found_and_named_from_some_size_on() {
             fails(row.value <= before, "not in the order of the doses");
             let is_named = is_named(found, dose.0);
             fails(named_from.is_some() && !is_named, "named below, not here");
-            fails(row.multiple >= KEPT && !is_named, "would have shown, it said");
-            // A name that is only left open beside one of the background is none yet.
+            fails(row.multiple >= KEPT && !is_named, "stated as detectable");
+            // A name that is only left open with one of the background is none yet.
             if found.effects.contains(&dose.0) {
                 named_from = named_from.or(Some(row.multiple));
             }

@@ -158,7 +158,7 @@ fn only_what_is_still_true_is_kept() {
 }
 
 #[test]
-fn what_is_no_run_is_said_before_anything_is_written() {
+fn what_is_no_run_is_refused_before_anything_is_written() {
     let desk = Desk::new();
     let out = desk.path("fleet.txt");
     fs::create_dir_all(desk.path("empty")).unwrap();
@@ -253,10 +253,10 @@ fn queries_of_the_page_find_bearing_and_hidden_effect() {
     if is_there("polars") {
         let (_, code) = blocks(page, "polars").pop().unwrap();
         let printed = format!("{code}\nprint(drift.row(0)[1], drift.row(0)[3])");
-        let said = python(&printed).expect(0).stdout;
-        let (serial, percent) = said.lines().last().unwrap().split_once(' ').unwrap();
-        assert_eq!(serial, "12", "{said}");
-        assert!((percent.parse::<f64>().unwrap() - 12.0).abs() < 1.0, "{said}");
+        let stdout = python(&printed).expect(0).stdout;
+        let (serial, percent) = stdout.lines().last().unwrap().split_once(' ').unwrap();
+        assert_eq!(serial, "12", "{stdout}");
+        assert!((percent.parse::<f64>().unwrap() - 12.0).abs() < 1.0, "{stdout}");
     }
 }
 
@@ -335,7 +335,7 @@ fn an_earlier_result_is_a_baseline_and_counts_once() {
         |emulator: &str, baseline: &Path, options: &str| yearly.test(emulator, baseline, options);
     let (desk, suite) = (&yearly.desk, |emulator: &str| yearly.suite(emulator));
     let (.., case) = yearly.drifted();
-    // It tells the same figures as the run that it is of.
+    // It has the figures of its run.
     let result = case.parent().unwrap().to_owned();
     let back = test("plain.toml", &result, "").expect(1);
     has(&back.stderr, &["drift: load_torque_n_m, has to be none"]);
@@ -373,8 +373,8 @@ fn an_earlier_result_is_a_baseline_and_counts_once() {
     );
     let paths = [suite("dry.toml"), desk.path("suites"), more];
     let paths = paths.each_ref().map(PathBuf::as_path);
-    let told = call("test {} --out {} --baseline {}", &paths).expect(1);
-    has(&told.stdout, &["  viscous_friction.coefficient not compared:"]);
+    let tested = call("test {} --out {} --baseline {}", &paths).expect(1);
+    has(&tested.stdout, &["  viscous_friction.coefficient not compared:"]);
     let less = doctored("less.json", &|found| found["parameters"] = json!({}));
     has(
         &test("dry.toml", &less, "").expect(1).stdout,

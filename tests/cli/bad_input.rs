@@ -23,7 +23,7 @@ fn spoilt_csv(header: &str, change: impl Fn(&mut Row)) -> String {
     csv(header, good(), change)
 }
 
-/// No parameter has a number; each says why not.
+/// No parameter has a number; each has the reason.
 #[track_caller]
 fn nothing_invented(found: &Value) {
     let parameters = found["parameters"].as_object().expect("parameters");
@@ -37,7 +37,7 @@ fn nothing_invented(found: &Value) {
     }
 }
 
-/// `identify` on a file of this text, beside the nameplate or alone.
+/// `identify` on a file of this text, with the nameplate or without a model.
 fn identified(text: &str, has_model: bool) -> Done {
     let desk = Desk::new();
     let file = desk.put("log.csv", text);
@@ -47,7 +47,7 @@ fn identified(text: &str, has_model: bool) -> Done {
     call("identify {} --json", &[&file])
 }
 
-/// `identify` says status 5, each of the words parted by `&` stands in headline or help, and the JSON holds no number.
+/// `identify` ends with status 5, each text between two `&` stands in headline or help, and the JSON holds no number.
 #[track_caller]
 fn refused(words: &str, has_model: bool, text: &str) {
     let done = identified(text, has_model).expect(5);
@@ -203,7 +203,7 @@ fn compare_and_diagnose_do_not_judge_by_spoilt_data() {
         call(command, &[&swapped]).fails(5, &["voltage and current are swapped"]);
     }
     call("diagnose {} --json --model {}", &[&swapped, &nameplate]).fails(5, &["swapped"]);
-    // A model as given can be compared with anything; what is wrong stands beside the figures.
+    // A model as given can be compared with anything; what is wrong stands with the figures.
     let done = call("compare {} --json --model {}", &[&swapped, &nameplate]).expect(0);
     has(&done.stderr, &["swapped"]);
     assert!(done.json()["notes"][0].as_str().unwrap().contains("swapped"));

@@ -1,4 +1,4 @@
-//! `bode` through the real binary: a coupling that the drive hides is found with its damping; what does not swing is not said to.
+//! `bode` through the real binary: a coupling that the drive hides is found with its damping; what does not swing is not named.
 
 use crate::kit::prelude::*;
 

@@ -70,7 +70,7 @@ fn every_result_fits_a_terminal_and_ends_with_the_next_step() {
     let text =
         desk.call(&on_runs("diagnose FIT --model motor.toml --holdout SELECT")).expect(0).stdout;
     has(&text, &["cause ", "remedy ", "drivebench add stribeck_friction --model motor.toml"]);
-    // Everything is still there for who asks.
+    // --full prints everything.
     let full = desk.call(&on_runs("diagnose FIT --holdout SELECT --full")).expect(0).stdout;
     assert!(full.lines().count() > LINES, "{full}");
     has(&full, &["EFFECTS THAT WERE TRIED"]);
@@ -141,7 +141,7 @@ fn no_line_that_a_command_prints_is_wider_than_a_terminal() {
         let [stdout, stderr] = [&output.stdout, &output.stderr]
             .map(|bytes| String::from_utf8_lossy(bytes).into_owned());
         let rows = || stdout.lines().chain(stderr.lines());
-        assert!(rows().count() > 0, "{command}: nothing is said");
+        assert!(rows().count() > 0, "{command}: nothing is printed");
         for row in rows() {
             // What is copied stays whole.
             let is_alone = !row.trim().contains(' ');
@@ -186,16 +186,16 @@ fn a_mistake_is_answered_with_what_to_do() {
         ("view a b", &["--holdout RUN2"]),
         ("inspect runs", &["'inspect'", "see drivebench --help"]),
     ] {
-        let said = refusal(command, &[]);
-        has(&said, parts);
-        lacks(&said, &["as a value", "found in string", "float literal"]);
+        let error = refusal(command, &[]);
+        has(&error, parts);
+        lacks(&error, &["as a value", "found in string", "float literal"]);
     }
     let runs = &Runs::plain().fit;
     has(&refusal("tune --model {}", &[runs]), &["its model is ", "/model.toml"]);
     let desk = Desk::new();
     let bench = desk.put("vesc.toml", &BENCH.replace("modbus-rtu", "vesc"));
-    let said = refusal("run {} --port sim: --headless", &[&bench]);
-    has(&said, &["own does not have the protocol vesc", "allowed: modbus-rtu"]);
+    let error = refusal("run {} --port sim: --headless", &[&bench]);
+    has(&error, &["own does not have the protocol vesc", "allowed: modbus-rtu"]);
     let Ok(full) = fs::OpenOptions::new().write(true).open("/dev/full") else {
         // Only Linux has a disk that is always full.
         return;
@@ -203,8 +203,8 @@ fn a_mistake_is_answered_with_what_to_do() {
     let mut process = std::process::Command::new(BINARY);
     process.args(["completions", "bash"]).stdout(full);
     let done = Done::of(&process.output().expect("it runs"));
-    let said = done.fails(6, &["cannot write the result", "free space"]).stderr;
-    lacks(&said, &["fault of drivebench"]);
+    let stderr = done.fails(6, &["cannot write the result", "free space"]).stderr;
+    lacks(&stderr, &["fault of drivebench"]);
 }
 
 #[test]
@@ -240,11 +240,11 @@ fn what_was_nearly_right_is_named() {
     for _ in 0..2 {
         desk.call("run --headless --port sim: --seed 7 --out runs").expect(0);
     }
-    let said = |command: &str| desk.call(command).stderr;
-    has(&said("compare runs"), &["a folder of 2 runs", "did you mean the latest of them, runs/"]);
-    has(&said("compare ."), &["no run", "help: "]);
+    let stderr = |command: &str| desk.call(command).stderr;
+    has(&stderr("compare runs"), &["a folder of 2 runs", "did you mean the latest of them, runs/"]);
+    has(&stderr("compare ."), &["no run", "help: "]);
     let run = run_of(&desk, "emulated");
-    let text = said(&format!("identify {run} --require inertia"));
+    let text = stderr(&format!("identify {run} --require inertia"));
     has(&text, &["did you mean `inertia_kg_m2`?"]);
 }
 

@@ -102,7 +102,7 @@ fn a_supply_without_regeneration_limits_the_deceleration() {
 
     let desk = Desk::new();
     let limited = bench("[supply]\nregenerates = false\nbrake_power_w = 20.0\n", fast);
-    // A small resistor burns what is left beside friction and winding.
+    // A small resistor takes the energy that friction and winding do not.
     let sink = stiff.replace("1e-3", "1.0");
     run(&desk, &limited, &sink, "").expect(0);
     assert!(desk.read("events.jsonl").contains("\"supply\":true"));

@@ -79,7 +79,7 @@ fn what_else_is_called_latest_stays_and_the_run_is_kept() {
 }
 
 #[test]
-fn a_simulation_has_the_measurement_beside_it() {
+fn a_simulation_has_the_measurement_next_to_it() {
     let runs = Runs::plain();
     let paths: [&Path; 2] = [&runs.model, &runs.fit];
     let alone = call("simulate --model {} --run {}", &paths).expect(0).stdout;
@@ -177,7 +177,7 @@ fn a_model_is_exported_with_its_own_gains_only() {
     let written = fs::read_to_string(&header).unwrap();
     has(&written, &["pump_1_step(", "pump_1_regulate(", "stribeck_friction_stribeck_n_m = 0.2,"]);
     has(&refusal(text, &[&own, &gains, &header]), &["nothing is overwritten"]);
-    // It is a header that a strict compiler takes; where there is none, that is said.
+    // It is a header that a strict compiler takes; where there is none, the test prints that.
     let source = desk.put("main.c", "#include \"pump-1.h\"\nint main(void) { return 0; }\n");
     let compiled = Command::new("cc")
         .args(["-std=c99", "-pedantic", "-Werror", "-Wall", "-fsyntax-only"])
@@ -229,15 +229,15 @@ fn a_torque_map_is_empty_where_the_runs_show_nothing() {
         known += 1;
         let against = speed.parse::<f64>().unwrap().signum();
         let [mean, low, high] = [0, 1, 2].map(|at| against * cells[at].parse::<f64>().unwrap());
-        // Coulomb friction of the specimen, which the nameplate knows to a tenth; of its J and Kt too.
+        // Coulomb friction of the specimen, which the nameplate has to a tenth; of its J and Kt too.
         assert!(mean > 0.25 && mean < 0.65, "{row:?}");
         assert!((low - mean) * (high - mean) < 0.0, "{row:?}");
     }
     assert!(known >= 6, "{table}");
     let header = desk.path("rubs.h");
     let text = "export --torque-map friction --run {} --model {} --to c --output {}";
-    let said = call(text, &[fit, &own, &header]).expect(0).stdout;
-    has(&said, &["friction of ZK-22FC, ", " of 24 bins measured, "]);
+    let stdout = call(text, &[fit, &own, &header]).expect(0).stdout;
+    has(&stdout, &["friction of ZK-22FC, ", " of 24 bins measured, "]);
     let written = fs::read_to_string(&header).unwrap();
     has(&written, &["rubs_torque(float speed_rad_s,"]);
     // A run turns too fast for what the angle does.
@@ -252,7 +252,7 @@ fn a_torque_map_is_empty_where_the_runs_show_nothing() {
 }
 
 #[test]
-fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
+fn a_run_keeps_its_samples_as_columns_by_an_option() {
     let desk = Desk::new();
     if cfg!(not(feature = "parquet")) {
         for (command, paths) in [
@@ -263,8 +263,8 @@ fn a_run_keeps_its_samples_as_columns_where_that_is_asked_for() {
             ),
         ] {
             let paths: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
-            let said = refusal(command, &paths);
-            has(&said, &["built without Parquet", "--features parquet"]);
+            let error = refusal(command, &paths);
+            has(&error, &["built without Parquet", "--features parquet"]);
         }
         assert!(!desk.out().exists(), "nothing is recorded");
         return;

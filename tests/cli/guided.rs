@@ -1,5 +1,5 @@
 //! The whole loop by keys, over a pseudo-terminal with a screen parser, from the start to the report: commission, the run
-//! that tells more, its diagnosis, the effect added, the speed loop.
+//! that shows more, its diagnosis, the effect added, the speed loop.
 
 use super::next_run::weak_bench;
 use super::screen::keep_what_scrolls;
@@ -10,7 +10,7 @@ fn to_the_steps(session: &mut Session) {
     session.press(&"\u{1b}[6~".repeat(9));
 }
 
-/// The page of the loop says that its last run was done, too; a run has no page of steps.
+/// The page of the loop has the step of its last run, too; a run has no page of steps.
 fn until_the_run_is_done(session: &mut Session) {
     session.wait("the end of the run", |screen| {
         let shown = screen.contents();
@@ -29,7 +29,7 @@ fn the_whole_loop_is_driven_by_keys() {
     let arguments = line("commission {} --port sim: --seed 5 --out runs", &[&bench]);
     let mut session = Session::start(arguments, desk.folder(), (160, 50));
 
-    // The runs are too short to tell rivals apart, and the page says what would.
+    // The runs are too short to distinguish rivals, and the page names a run that would.
     session.wait_for("x next experiment");
     to_the_steps(&mut session);
     session.wait_for("needs    effects not distinguished or not shown so far");
@@ -83,7 +83,7 @@ fn ctrl_c_on_the_screen_of_what_follows_ends_the_program() {
     until_the_run_is_done(&mut session);
     session.press("\u{3}");
     assert_eq!(session.end(), 130, "{}", session.text());
-    // What was measured before is told all the same.
+    // What was measured before is printed all the same.
     has(&session.text(), &["report.html", "interrupted"]);
     session.expect_terminal_as_it_was();
 }

@@ -1,4 +1,4 @@
-//! Runs to judge by that cannot be judged by, and files with holes: said plainly, and what can be answered is answered.
+//! Hold-outs that test nothing, and files with holes: both are reported, and the remaining results are given.
 
 use crate::kit::prelude::*;
 use std::sync::OnceLock;
@@ -28,7 +28,7 @@ fn text_of(rows: &[Row], change: impl Fn(&mut Row)) -> String {
 
 /// What cannot serve as a hold-out is set aside with its reason, and the run is judged by its own last part.
 #[test]
-fn a_holdout_that_tests_nothing_is_not_used_and_why_is_told() {
+fn a_holdout_that_tests_nothing_is_not_used_and_the_reason_is_given() {
     let desk = Desk::new();
     let nameplate = desk.nameplate();
     let run = desk.put("run.csv", &text_of(good(), |_| {}));
@@ -85,7 +85,7 @@ fn a_model_no_better_than_the_mean_is_not_fitted() {
 
 /// Without a standstill errors are counted in the residual of the refitted baseline, and no word may call that a floor.
 #[test]
-fn without_a_noise_floor_nothing_is_said_in_multiples_of_it() {
+fn without_a_noise_floor_nothing_is_given_in_multiples_of_it() {
     let desk = Desk::new();
     let nameplate = desk.nameplate();
     let [run, holdout, confirm] = [("run", 7, 1.0), ("holdout", 37, 0.9), ("confirm", 41, 0.8)]
@@ -160,8 +160,8 @@ fn holes_and_dropped_rows_are_on_stderr_and_on_both_pages() {
     let again = with_hole(&record(again(23), 0.9));
     let holdout = desk.put("again.csv", &text_of(&again, |_| {}));
     for command in ["diagnose", "compare"] {
-        let (said, page) = page_of(&desk, command, &run, &holdout);
-        for text in [&said, &page] {
+        let (stderr, page) = page_of(&desk, command, &run, &holdout);
+        for text in [&stderr, &page] {
             has(text, &["run.csv: 60 of ", "again.csv: 60 of ", "of voltage_v are missing"]);
         }
         assert!(page.contains("Rows of the file that were dropped: 1"), "{command}: {page}");

@@ -69,7 +69,7 @@ fn a_drive_that_limits_the_voltage_settles_nothing() {
 }
 
 #[test]
-fn a_nameplate_that_does_not_fit_is_told_with_both_numbers() {
+fn a_nameplate_that_does_not_fit_is_reported_with_both_numbers() {
     let run = run_with(0.0045, 8);
     let plate = include_str!("../../bench-configs/motors/zk-22fc.toml");
     let folder = Desk::new();
@@ -111,7 +111,7 @@ fn wrong_options_are_named_with_what_is_allowed() {
 }
 
 #[test]
-fn one_size_has_one_deviation_whatever_command_tells_it() {
+fn one_size_has_one_deviation_whatever_command_gives_it() {
     let runs = Runs::hidden();
     let desk = Desk::new();
     let better = desk.path("better.toml");
@@ -144,7 +144,7 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
             ("diagnose", &diagnosed, &named, 1e-9),
             // What starts from the values found ends within some hundredths of their deviations of them.
             ("remove", &removed, &place, 0.1),
-            // One run alone knows what is random in it less well than two.
+            // One run alone determines its random part less accurately than two.
             ("identify", &identified, &own, 0.4),
         ] {
             let apart = (at(found, place, "value") - value) / std;
@@ -164,7 +164,7 @@ fn one_size_has_one_deviation_whatever_command_tells_it() {
         let shown = call(text, paths).stdout;
         let is_size = |row: &&str| row.contains("stribeck_n_m") && row.contains('±');
         let mut rows = shown.lines().filter(is_size);
-        let row = rows.next().expect("the size is told").to_owned();
+        let row = rows.next().expect("a row with the size").to_owned();
         let from = row.find("stribeck_n_m").expect("it was found") + "stribeck_n_m".len();
         row[from..].split_whitespace().collect::<Vec<_>>().join(" ")
     };

@@ -1,4 +1,4 @@
-//! The command line through the real binary: on files, and on emulated drives in virtual time. What wants its deadlines
+//! The command line through the real binary: on files, and on emulated drives in virtual time. What needs its deadlines
 //! kept is in `tests/live`.
 #![expect(
     clippy::unwrap_used,

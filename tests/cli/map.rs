@@ -189,7 +189,7 @@ fn without_a_map_the_error_names_the_command_and_a_sure_map() {
 }
 
 #[test]
-fn a_map_that_is_not_whole_is_status_1_and_says_what_it_lacks() {
+fn a_map_that_is_not_whole_is_status_1_and_names_what_it_lacks() {
     let (desk, rows) = (Desk::new(), Bench::PAPER_A.record(steps));
     let vesc = desk.put("log.csv", &text_of(&FORMS[0], &rows[..400]));
     let done = call("map {}", &[&vesc]).expect(1);

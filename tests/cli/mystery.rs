@@ -1,4 +1,4 @@
-//! A mystery from the drawing of its seed to the answer beside its truth, through the real binary.
+//! A mystery from the drawing of its seed to the answer with its truth, through the real binary.
 
 use crate::kit::prelude::*;
 use drivebench::emulator::mystery::draw;
@@ -17,9 +17,9 @@ fn an_emulator_of_a_mystery_shows_at_its_end_what_it_hid() {
     let text = format!("emulate --mystery {seed} --pty {{}}");
     let emulator = Emulator::start(&text, &[&pty]);
     emulator.process.signal(Signal::SIGTERM);
-    let (ready, told) = (emulator.ready, emulator.process.end().stderr);
+    let (ready, stderr) = (emulator.ready, emulator.process.end().stderr);
     lacks(&ready, &["backlash"]);
-    has(&told, &[&format!("mystery {seed} hides backlash (")]);
+    has(&stderr, &[&format!("mystery {seed} hides backlash (")]);
 }
 
 #[test]
@@ -62,8 +62,8 @@ fn a_bench_file_that_names_the_mystery_is_the_same_machine() {
         fs::read_to_string(only_folder(&runs).join("samples.csv")).expect("samples")
     };
     let named = samples("run {} --port sim: --headless --json --out {}", "named");
-    let asked = samples("run --port sim: --headless --json --mystery 11 --out {}", "asked");
-    assert_eq!(named, asked);
+    let drawn = samples("run --port sim: --headless --json --mystery 11 --out {}", "drawn");
+    assert_eq!(named, drawn);
 }
 
 #[test]
@@ -78,10 +78,10 @@ fn an_unexplained_error_is_reported_with_its_curve() {
         only_folder(&out)
     });
     let done = call("diagnose {} --holdout {}", &[&runs[0], &runs[1]]).expect(0);
-    let said = &done.stdout;
-    has(said, &["no effect of the catalogue explains it"]);
-    has(said, &["curve  ", "torque error follows the speed"]);
-    let (_, add) = said.split_once("next      drivebench ").unwrap();
+    let stdout = &done.stdout;
+    has(stdout, &["no effect of the catalogue explains it"]);
+    has(stdout, &["curve  ", "torque error follows the speed"]);
+    let (_, add) = stdout.split_once("next      drivebench ").unwrap();
     let add = add.replace('\\', " ");
     assert!(add.starts_with("add table --equation torque --axis speed_rad_s "), "{add}");
     // What is recommended works as it is written.

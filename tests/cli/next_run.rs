@@ -1,4 +1,4 @@
-//! From "these two cannot be told apart" over the recommended bench file to a name: the real binary against its software
+//! From "these runs do not distinguish the two" over the recommended bench file to a name: the real binary against its software
 //! drive, in virtual time, so that no stalled machine decides what a run can tell apart.
 
 use crate::kit::prelude::*;
@@ -47,14 +47,14 @@ fn what_one_run_cannot_tell_apart_the_recommended_run_names() {
     // Exactly the file that was written; the drive keeps the limits that the plan promised.
     let first = run;
     let run = run_of(&next, 2);
-    let told = diagnosed(&run, &bench, &at("other.toml"));
-    assert_eq!(told["verdict"], "effect", "{}", told["sentence"]);
-    assert_eq!(told["effects"], json!(["current_offset"]));
+    let found = diagnosed(&run, &bench, &at("other.toml"));
+    assert_eq!(found["verdict"], "effect", "{}", found["sentence"]);
+    assert_eq!(found["effects"], json!(["current_offset"]));
     let both = json_of("diagnose {} --with {} --bench {} --json", &[&first, &run, &bench]);
     assert_eq!(both["verdict"], "effect", "{}", both["sentence"]);
     assert_eq!(both["effects"], json!(["current_offset"]));
-    assert_eq!(both["confusable"], json!([]), "the pair is told apart");
-    assert!(both["next_experiment"]["pair"].is_null(), "and not asked for again");
+    assert_eq!(both["confusable"], json!([]), "the pair is distinguished");
+    assert!(both["next_experiment"]["pair"].is_null(), "and not recommended again");
     let peaks = &recommended["peaks"];
     for (column, key) in [("current_a", "current_a"), ("speed_rad_s", "speed_rad_s")] {
         let promised = peaks[key].as_f64().unwrap_or_default();

@@ -242,10 +242,10 @@ fn add_writes_a_model_for_other_commands_and_overwrites_none() {
     let refused = call(&format!("add voltage_drop {add}"), &paths).expect(1);
     assert_eq!(refused.json()["accepted"], false);
     assert!(!word(&refused.json(), "/reason").is_empty());
-    let told = refused.error();
-    has(&told, &["voltage_drop was not added", "--force"]);
-    // Why is said once.
-    lacks(&told, &[word(&refused.json(), "/reason")]);
+    let error = refused.error();
+    has(&error, &["voltage_drop was not added", "--force"]);
+    // The reason is given once.
+    lacks(&error, &[word(&refused.json(), "/reason")]);
     // To remove what is needed is refused too.
     let kept = call(&format!("remove stribeck_friction {add}"), &paths).expect(1);
     assert_eq!(kept.json()["accepted"], false);

@@ -53,7 +53,7 @@ fn ctrl_c_in_a_diagnosis_ends_it_with_130_and_a_clean_terminal() {
 fn progress_is_one_line_that_goes_when_the_answer_comes() {
     let folder = Desk::new();
     let record = fs::read(long_record(folder.folder())).unwrap();
-    // A pipe, so that the command waits for its data until the line has been seen, however fast the machine is.
+    // A pipe, so that the command waits for its data until the line has been read, however fast the machine is.
     let run = folder.path("pipe.csv");
     mkfifo(&run, Mode::S_IRUSR | Mode::S_IWUSR).unwrap();
     let arguments = line("compare {} --json", &[&run]);

@@ -137,7 +137,7 @@ fn a_foreign_file_is_replayed_by_its_map() {
         let ratio = value(&result) / value(&own);
         assert!((ratio - 1.0).abs() < 0.01, "{key} {ratio}");
     }
-    // Without speed nothing can be told, and the reader learns why.
+    // Without speed no parameter is determined, and the reason is given.
     let done = call("replay {} --json --map time_s=t,current_a=current_a", &[&foreign]).expect(0);
     has(&done.stderr, &["no speed_rad_s"]);
     assert_eq!(done.json()["parameters"]["inertia_kg_m2"]["value"], Value::Null);

@@ -19,7 +19,7 @@ fn a_run_gives_its_page_and_every_picture_of_it() {
         assert!(svg.starts_with("<?xml") && svg.trim_end().ends_with("</svg>"));
     }
 
-    // They are not written over, and it is said what to do.
+    // They are not written over, and the help names the next step.
     let again = refusal("report {} --svg {}", &[&run, &figures]);
     has(&again, &["figure-1.svg", "exists already", "--svg"]);
 

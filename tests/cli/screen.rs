@@ -10,7 +10,7 @@ fn diagnose(more: &str, folder: &Path, size: (u16, u16)) -> Session {
     Session::start(&arguments, folder, size)
 }
 
-/// More rows for the reader than the program knows of: what is printed at the end is seen from its first line on.
+/// More rows than the terminal reports to the program: the first line of what is printed at the end stays on the screen.
 pub(crate) fn keep_what_scrolls(session: &mut Session) {
     let (_, columns) = session.screen.screen().size();
     session.screen.screen_mut().set_size(NonZero::new(400).expect("more than none"), columns);
@@ -40,7 +40,7 @@ fn one_key_adds_an_effect_and_the_error_falls_to_the_floor() {
     assert_eq!(session.end(), 0, "{}", session.text());
     // Without --mouse the terminal keeps its mouse.
     lacks(&String::from_utf8_lossy(&session.sent), &["\u{1b}[?1000h"]);
-    // What stays behind is about the model as it stands, and says how it came about and where it is.
+    // The text that stays is of the final model: how it was made, and its file.
     let left = session.text();
     has(
         &left,
@@ -223,7 +223,7 @@ fn the_mouse_is_an_option_and_a_click_selects() {
 
 #[test]
 #[cfg(target_os = "linux")]
-fn ctrl_z_says_why_not_while_the_bench_is_at_work() {
+fn ctrl_z_gives_the_reason_of_its_refusal_while_the_bench_is_at_work() {
     let folder = Desk::new();
     let arguments = line("run --port emulator --seed 7 --out runs", &[]);
     let mut session = Session::start(arguments, folder.folder(), (120, 40));

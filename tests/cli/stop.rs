@@ -37,12 +37,12 @@ fn a_trip_records_its_stop_and_its_last_seconds() {
     let page = desk.read("report.html");
     let words = ["The last seconds", "stop sent", "share of the limit"];
     has(&page, &words);
-    let told = call("report {}", &[&desk.run()]).expect(0);
-    has(&told.stdout, &["stopped", "last 2 s", "samples.csv"]);
+    let report = call("report {}", &[&desk.run()]).expect(0);
+    has(&report.stdout, &["stopped", "last 2 s", "samples.csv"]);
 }
 
 #[test]
-fn a_run_to_its_end_tells_its_stop_too_and_no_last_seconds() {
+fn a_run_to_its_end_has_its_stop_too_and_no_last_seconds() {
     let desk = Desk::new();
     let done = call("run --headless --json --port sim: --out {}", &[&desk.out()]);
     let result = done.expect(0).json();

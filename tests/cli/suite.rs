@@ -60,7 +60,7 @@ fn a_suite_passes_with_its_spread_and_leaves_no_evidence() {
 }
 
 #[test]
-fn a_limit_that_is_not_kept_is_said_with_its_evidence() {
+fn a_limit_that_is_not_kept_is_reported_with_its_evidence() {
     let desk = Desk::new();
     let done = tested(&desk, &suite("\"< 0.5\""), "--filter quick").expect(1);
     has(
@@ -89,8 +89,8 @@ fn a_motor_that_is_refused_passes_where_that_is_what_has_to_be() {
              [[case.step]]\nexcite = {{}}\n{status}\n"
         )
     };
-    let asked = "status = 3\n[[case.step]]\nassert = { error = \"~ open armature\" }";
-    tested(&desk, &case(asked), "").expect(0);
+    let expected = "status = 3\n[[case.step]]\nassert = { error = \"~ open armature\" }";
+    tested(&desk, &case(expected), "").expect(0);
     // Without the status it stands in the way of a judgement, and its own status is that of the suite.
     let done = tested(&desk, &case(""), "").expect(3);
     has(&done.stderr, &["ERROR", "exit status 3, has to be 0: direction: neither a current flows"]);
@@ -151,7 +151,7 @@ fn a_file_with_other_keys_is_made_for_the_case() {
 }
 
 #[test]
-fn a_command_that_does_not_end_in_its_time_is_ended_and_said_so() {
+fn a_command_that_does_not_end_in_its_time_is_ended_and_reported() {
     let desk = Desk::new();
     let text = "name = \"late\"\n[[case]]\nname = \"slow\"\ntimeout_s = 0.05\nport = \"emulator\"\n\
                 [[case.step]]\nexcite = {}\n";
@@ -200,7 +200,7 @@ fn what_cannot_be_run_is_refused_before_anything_is() {
         has(&done.stderr, words);
         assert!(!desk.path("out").exists());
     }
-    // A real port, and nobody who says that the motor may turn.
+    // A real port without the consent that its motor may turn.
     let done = tested(&desk, &good, "--port /dev/ttyNONE").expect(3);
     has(&done.stderr, &["nobody has confirmed that its motor may turn", "--hardware"]);
 }
@@ -212,13 +212,13 @@ fn waived_checks_of_a_suite_are_listed_before_consent() {
                 [[case.step]]\nexcite = { waive_watchdog = true, waive_direction = false }\n\
                 [[case.step]]\nspeed = { reset_fault = true, waive_watchdog = true }\n\
                 [[case]]\nname = \"careful\"\n[[case.step]]\nexcite = { waive_plausibility = false }\n";
-    let said =
+    let warning =
         "case \"unproven\" sets waive_watchdog, reset_fault: checks that keep a real motor safe";
     for consent in ["", "--hardware"] {
         let options = format!("--port /dev/ttyNONE {consent}");
-        let told = tested(&desk, text, &options).expect(3).stderr.replace("\n  ", " ");
-        assert_eq!(told.matches(said).count(), 1, "{told}");
-        assert!(!told.contains("\"careful\" sets"), "{told}");
+        let stderr = tested(&desk, text, &options).expect(3).stderr.replace("\n  ", " ");
+        assert_eq!(stderr.matches(warning).count(), 1, "{stderr}");
+        assert!(!stderr.contains("\"careful\" sets"), "{stderr}");
     }
     let done = tested(&desk, text, "--port sim: --list").expect(0);
     assert!(!done.stderr.contains("unproven"), "{}", done.stderr);
@@ -241,14 +241,14 @@ fn python(module: &str, arguments: &[&Path]) -> Option<String> {
         python.current_dir(env!("CARGO_MANIFEST_DIR")).output()
     };
     let import = format!("import {module}");
-    let asked = run(&[Path::new("-c"), Path::new(&import)]);
-    if !asked.is_ok_and(|output| output.status.success()) {
+    let imported = run(&[Path::new("-c"), Path::new(&import)]);
+    if !imported.is_ok_and(|output| output.status.success()) {
         eprintln!("skipped: python3 with {module} is not installed");
         return None;
     }
     let output = run(arguments).unwrap();
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let text = said(&output.stdout) + &said(&output.stderr);
+    let text_of = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let text = text_of(&output.stdout) + &text_of(&output.stderr);
     assert!(output.status.success(), "{text}");
     eprintln!("{text}");
     Some(text)
@@ -268,16 +268,16 @@ fn results_of_a_suite_are_valid_for_other_readers() {
     let result = desk.put("result.json", &done.stdout);
     let [script, junit, metrics] =
         [".ci/interop/suite_peer.py".into(), desk.path("j.xml"), desk.path("m.txt")];
-    if let Some(said) = python("json", &[&script, &junit, &metrics, &result]) {
-        has(&said, &["5 cases by the rules of the schema"]);
+    if let Some(output) = python("json", &[&script, &junit, &metrics, &result]) {
+        has(&output, &["5 cases by the rules of the schema"]);
     }
 }
 
 #[test]
 fn the_example_for_pytest_makes_each_case_a_test() {
     let words = ["-m", "pytest", "-q", "-p", "no:cacheprovider", "examples/pytest"];
-    if let Some(said) = python("pytest", &words.map(Path::new)) {
-        has(&said, &["2 passed, 1 skipped"]);
+    if let Some(output) = python("pytest", &words.map(Path::new)) {
+        has(&output, &["2 passed, 1 skipped"]);
     }
 }
 

@@ -36,7 +36,7 @@ fn fits(line: &str, pattern: &str) -> bool {
 }
 
 #[test]
-fn every_command_of_the_tutorial_runs_and_says_what_is_shown() {
+fn every_command_of_the_tutorial_runs_and_prints_what_is_shown() {
     let desk = Desk::new();
     let repository = Path::new(env!("CARGO_MANIFEST_DIR"));
     symlink(repository.join("bench-configs"), desk.path("bench-configs")).unwrap();
@@ -49,11 +49,11 @@ fn every_command_of_the_tutorial_runs_and_says_what_is_shown() {
         let mut shell = Command::new("sh");
         shell.args(["-ec", commands]).env("PATH", &path);
         let done = super::kit::Done::of(&shell.current_dir(desk.folder()).output().unwrap());
-        let said = format!("{}\n{}", done.stdout, done.stderr);
-        assert_eq!(done.status, 0, "{commands}\n{said}");
+        let output = format!("{}\n{}", done.stdout, done.stderr);
+        assert_eq!(done.status, 0, "{commands}\n{output}");
         for pattern in shown.into_iter().filter(|pattern| !pattern.is_empty()) {
-            let is_there = said.lines().any(|line| fits(line, pattern));
-            assert!(is_there, "{pattern:?} is not in the output of\n{commands}\n{said}");
+            let is_there = output.lines().any(|line| fits(line, pattern));
+            assert!(is_there, "{pattern:?} is not in the output of\n{commands}\n{output}");
         }
     }
     for page in ["found.html", "better.toml", "figures/figure-2.svg", "simulated.csv"] {
@@ -62,7 +62,7 @@ fn every_command_of_the_tutorial_runs_and_says_what_is_shown() {
 }
 
 #[test]
-fn a_pattern_fits_only_what_it_says() {
+fn a_pattern_fits_only_its_own_text() {
     assert!(fits("picture  a/b.svg", "picture…b.svg"));
     assert!(fits("picture", "picture") && fits("x picture y", "…picture…"));
     assert!(!fits("a picture", "picture…") && !fits("picture of", "picture"));

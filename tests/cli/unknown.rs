@@ -105,7 +105,7 @@ fn a_motor_is_found_from_its_rated_values_alone() {
     let excited = found["excitation"]["inertia_kg_m2"].as_f64();
     assert!(excited.is_some_and(|share| share > 0.9), "{excited:?}");
 
-    // Nothing is predicted of nothing: the plan tells the first small step.
+    // Nothing is predicted of nothing: the plan names the first small step.
     let planned = call("plan {}", &[&bench]).expect(0);
     has(&planned.stdout, &["first stage (feel): up to 0.330 V"]);
 }
@@ -146,8 +146,8 @@ fn a_dangerous_nameplate_is_refused_unless_called_unknown() {
         ],
     );
 
-    let told = BENCH.replace("# unknown = false", "unknown = true");
-    let bench = out.put("bench.toml", &told);
+    let unknown = BENCH.replace("# unknown = false", "unknown = true");
+    let bench = out.put("bench.toml", &unknown);
     let done = out.simulate("run", "{} --emulator small-servo-behind-zk-22fc", &[&bench]).expect(0);
     assert_eq!(done.json()["escalation"]["nameplate"]["fits"], false);
     assert_eq!(done.json()["nameplate"]["fits"], false);

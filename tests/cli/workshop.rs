@@ -41,7 +41,7 @@ fn several_effects_and_late_replies_still_reach_the_floor() {
     let bench = desk.put("bench.toml", &bench);
     let out = desk.out();
     let found = json_of("commission {} --headless --json --port sim:rtu --out {}", &[&bench, &out]);
-    // To its floor on the run that confirms, or the page says why.
+    // To its floor on the run that confirms, or the page gives the reason.
     let [before, after] =
         [0, 1].map(|row| number(&found, &format!("/confirmed/{row}/holdout_rmse")));
     let says_why =
@@ -55,12 +55,12 @@ fn several_effects_and_late_replies_still_reach_the_floor() {
     let fit = PathBuf::from(word(&found, "/runs/0/folder"));
     let [select, confirm] =
         [1, 2].map(|run| PathBuf::from(word(&found, &format!("/runs/{run}/folder"))));
-    let told = json_of(
+    let diagnosed = json_of(
         "diagnose {} --model baseline --holdout {} --confirm {} --json",
         &[&fit, &select, &confirm],
     );
-    assert_eq!(told["effects"], found["diagnosis"]["effects"]);
-    let first = word(&told, "/effect").to_owned();
+    assert_eq!(diagnosed["effects"], found["diagnosis"]["effects"]);
+    let first = word(&diagnosed, "/effect").to_owned();
     let with_it = desk.path("with-it.toml");
     let added = json_of(
         &format!(

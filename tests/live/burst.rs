@@ -1,4 +1,4 @@
-//! A burst that the drive records by itself: armed by the run, kept beside its samples, and taken as a run of its own.
+//! A burst that the drive records by itself: armed by the run, kept with its samples, and taken as a run of its own.
 
 use crate::kit::prelude::*;
 
@@ -44,13 +44,13 @@ fn a_burst_gives_the_winding_of_a_slow_loop() {
     let armed_s = armed_at_s(&run);
     assert!((first_s - armed_s).abs() < 0.05, "{first_s} after {armed_s}");
 
-    // The truth of seed 3 is within 10 % of the plate; the run itself tells it well.
+    // The truth of seed 3 is within 10 % of the plate; the run itself determines it well.
     let identify =
         |data: &Path| json_of("identify {} --json --require resistance_ohm,inductance_h", &[data]);
     let (whole, burst) = (identify(&run), identify(&run.join("capture-01.csv")));
     for key in ["resistance_ohm", "inductance_h"] {
         let (whole, burst) = (parameter(&whole, key), parameter(&burst, key));
-        let ratio = burst.expect("told") / whole.expect("told");
+        let ratio = burst.expect("a value") / whole.expect("a value");
         assert!((0.99..1.01).contains(&ratio), "{key}: {burst:?} of {whole:?}");
     }
 }
@@ -60,7 +60,7 @@ fn a_burst_is_fetched_over_every_wire() {
     at_once(["modbus-rtu", "stream", "modbus-tcp"], |protocol| {
         let text = bench(protocol, 2);
         let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
-        // Slow and patient: what is asked here is not how punctual this machine is.
+        // Slow and patient: this test is not about how punctual this machine is.
         let head = head
             .replace("rate_hz = 100.0", "rate_hz = 40.0\ndeadline_ms = 20.0")
             .replace("link_silence_s = 0.45", "link_silence_s = 1.5");
@@ -102,6 +102,6 @@ fn a_commissioning_at_a_low_rate_takes_a_burst() {
         let mut found = entries.filter(|entry| entry["key"] == "inductance_h");
         found.next().and_then(|entry| entry["value"].as_f64())
     };
-    let inductance_h = of(&burst["parameters"]).expect("the burst tells it");
+    let inductance_h = of(&burst["parameters"]).expect("a value from the burst");
     assert!((0.0085..0.0113).contains(&inductance_h), "{inductance_h}");
 }

@@ -19,7 +19,7 @@ use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 const PATIENCE: Duration = Duration::from_secs(240);
 const POLL: Duration = Duration::from_millis(20);
 
-/// The motor as in `firmware-protocol/c/example/motor_drive.c`; the tests identify it, so the bench knows only the plate.
+/// The motor as in `firmware-protocol/c/example/motor_drive.c`; the tests identify it, so the bench has only the plate.
 fn bench(link: &str) -> String {
     BenchFile {
         link: format!("protocol = {link:?}\nrate_hz = 50.0\ndeadline_ms = 400.0"),
@@ -43,7 +43,7 @@ fn drive(desk: &Desk, link: &str) -> Emulator {
     drive
 }
 
-/// Runs a command of the program against the C drive; gives what it said and where its run is.
+/// Runs a command of the program against the C drive; gives its output and the folder of its run.
 #[track_caller]
 fn done(command: &str, link: &str) -> (Done, Desk) {
     let (done, desk) = in_real_time(|| {
@@ -100,7 +100,7 @@ fn the_c_drive_is_identified_and_keeps_its_speed_on_each_link() {
 }
 
 #[test]
-fn a_host_that_speaks_the_other_protocol_is_told_so() {
+fn a_host_of_the_other_protocol_gets_that_reason() {
     let desk = Desk::new();
     let drive = drive(&desk, "modbus-rtu");
     desk.at_port("run", &bench("stream"), &drive.port(), "--headless").expect(3).error();
@@ -113,7 +113,7 @@ fn echoes(port: &Path) -> Option<()> {
     host.write_all(&ECHO).ok()?;
     let mut answer = Vec::new();
     while answer.len() < ECHO.len() {
-        // A request that met the end of the host before is lost with it: nothing comes, and it is asked again.
+        // A request that met the end of the host before is lost with it: nothing comes, and it is sent again.
         let mut fds = [PollFd::new(host.as_fd(), PollFlags::POLLIN)];
         if poll(&mut fds, PollTimeout::from(2000_u16)).ok()? == 0 {
             return None;

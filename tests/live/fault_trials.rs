@@ -37,11 +37,11 @@ fn cases(subject: Subject) -> Vec<Case> {
 }
 
 fn tell(text: &str) {
-    // Past the capture of the test harness: what was tried again is to be seen.
+    // Past the capture of the test harness: what was tried again has to be visible.
     let _ = writeln!(std::io::stderr(), "{text}");
 }
 
-/// Makes the trials, a few at once, and says of all that went wrong.
+/// Makes the trials, a few at once, and reports all that went wrong.
 fn expect(cases: &[Case]) {
     let done = trials::at_once(AT_ONCE, cases, |(fault, way)| {
         let trial = trial(fault, *way, fault.name.bytes().map(u64::from).sum());

@@ -58,7 +58,7 @@ fn limits_are_read_from_the_drive_and_only_offline_does_without() {
     assert!(reason(&made, "limits.current_a").contains("11.4 A (read back)"));
     assert!(reason(&made, "limits.link_silence_s").contains("watchdog of 0.5 s (read back)"));
     assert!(reason(&made, "limits.bus_max_v").contains("(read back)"));
-    // It is a port of a real drive for all that the file knows.
+    // The file cannot exclude that it is the port of a real drive.
     let next = made["next"].as_array().unwrap();
     assert!(next.iter().any(|line| line.as_str().unwrap().ends_with("--hardware --headless")));
     // The file on stdout is a bench file.

@@ -1,5 +1,5 @@
 //! The real binary and the links in real time: drives in processes of their own, over pseudo-terminals and TCP. Nothing
-//! that keeps every core busy stands beside them.
+//! that keeps every core busy runs with them.
 #![cfg(target_os = "linux")]
 #![expect(
     clippy::unwrap_used,

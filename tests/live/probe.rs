@@ -9,7 +9,7 @@ use drivebench::drive::{DriveProfile, Protocol};
 fn emulator_of(desk: &Desk, profile: &str) -> Emulator {
     let pty = desk.path(format!("{}.pty", profile.replace('/', "-")));
     let is_modbus = |profile: DriveProfile| profile.link.protocol.is_modbus();
-    // Registers can be served as RTU whatever the profile says; another language is its own.
+    // Registers can be served as RTU whatever the profile has; another language is its own.
     let link =
         if DriveProfile::named(profile).map_or(true, is_modbus) { "--link modbus-rtu" } else { "" };
     let text = format!("emulate zk-22fc-plain {link} --profile {{}} --pty {{}}");
@@ -39,15 +39,15 @@ fn functions(file: &Path) -> Vec<u8> {
 /// Nothing but reads, echoes and questions for names went over the wire.
 #[track_caller]
 fn is_read_only(tap: &Path) {
-    let asked = functions(tap);
+    let codes = functions(tap);
     let reads = |function: &u8| [3, 4, 8, 43].contains(function);
-    assert!(asked.len() > 4 && asked.iter().all(reads), "{asked:?}");
+    assert!(codes.len() > 4 && codes.iter().all(reads), "{codes:?}");
 }
 
 /// The emulated supply.
 #[track_caller]
-fn is_120_v(told: &Value) {
-    assert!((told["value"].as_f64().unwrap() - 120.0).abs() < 2.0, "{told}");
+fn is_120_v(reading: &Value) {
+    assert!((reading["value"].as_f64().unwrap() - 120.0).abs() < 2.0, "{reading}");
 }
 
 fn signal<'a>(report: &'a Value, name: &str) -> &'a Value {
@@ -124,7 +124,7 @@ fn an_address_base_that_is_off_by_one_is_named() {
     let best = report["hypotheses"][0]["change"].as_str().unwrap();
     assert_eq!(best, "every address one higher (base 0 instead of 1)");
     assert_eq!(report["hypotheses"][0]["plausible"], report["hypotheses"][0]["judged"]);
-    // The register beside it holds noise, which may pass for a small bus voltage when its bytes are exchanged.
+    // The next register holds noise, which may pass for a small bus voltage when its bytes are exchanged.
     let bus = signal(&report, "bus");
     let candidates = bus["candidates"].as_array().unwrap();
     let higher = candidates
@@ -133,9 +133,9 @@ fn an_address_base_that_is_off_by_one_is_named() {
     is_120_v(higher.expect("the address that is one higher"));
     has(&done.error(), &["bus"]);
     is_read_only(&tap);
-    let told = probe(&emulator, looked, &[&profile]).expect(1).stdout;
+    let stdout = probe(&emulator, looked, &[&profile]).expect(1).stdout;
     has(
-        &told,
+        &stdout,
         &[
             "with the address one higher (base 0 instead of 1) bus would be 1",
             "is the profile right?",
@@ -166,9 +166,9 @@ fn a_swapped_word_order_is_named_with_its_value() {
     let candidate = &signal(&report, "bus")["candidates"][0];
     assert_eq!(candidate["change"], "word_order = \"high_first\"");
     is_120_v(candidate);
-    let told = probe(&emulator, "--drive {}", &[&wrong]).expect(1).stdout;
+    let stdout = probe(&emulator, "--drive {}", &[&wrong]).expect(1).stdout;
     has(
-        &told,
+        &stdout,
         &[
             "with word_order = \"high_first\" bus would be 1",
             " V, plausible: is the profile right?",

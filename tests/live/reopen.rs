@@ -138,10 +138,10 @@ fn a_drive_back_under_another_number_is_stopped_not_started() {
         let again = lab.drive(1);
         assert_ne!(fs::read_link(&again.address).expect("a symlink"), before);
         let done = run.end().fails(3, &["link lost", "stop confirmed; nothing is armed"]);
-        let told = &done.json()["reopened"];
-        assert_eq!(told["ending"], "stopped", "{told:#}");
-        assert!(told["downtime_s"].as_f64() > Some(0.5), "{told:#}");
-        assert!(told["attempts"].as_u64() > Some(1), "{told:#}");
+        let reopened = &done.json()["reopened"];
+        assert_eq!(reopened["ending"], "stopped", "{reopened:#}");
+        assert!(reopened["downtime_s"].as_f64() > Some(0.5), "{reopened:#}");
+        assert!(reopened["attempts"].as_u64() > Some(1), "{reopened:#}");
         lab.is_kept_as_lost();
         assert_eq!(lab.event("link_lost")["watchdog_s"], 1.0);
         assert_eq!(lab.event("reopened")["state"], "disabled");
@@ -200,8 +200,8 @@ fn a_search_ends_with_ctrl_c_or_its_time_or_at_once() {
     at_once([("--reopen-s 0.5", "given_up"), ("--reopen-s 0", "")], |(option, ending)| {
         let (_lab, drive, run) = Lab::turning("modbus-rtu", option);
         drop(drive);
-        let told = run.end().expect(3).json();
-        assert_eq!(told["reopened"]["ending"].as_str().unwrap_or_default(), ending);
+        let result = run.end().expect(3).json();
+        assert_eq!(result["reopened"]["ending"].as_str().unwrap_or_default(), ending);
     });
 }
 

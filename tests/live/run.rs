@@ -133,8 +133,8 @@ fn a_second_host_is_status_3_and_the_first_goes_on() {
 #[test]
 fn a_program_that_reads_the_port_as_well_is_named() {
     if !rustix::process::geteuid().is_root() {
-        let told = "not tried: another program may read the port only as root\n";
-        let _ = std::io::Write::write_all(&mut std::io::stderr(), told.as_bytes());
+        let skipped = "not tried: another program may read the port only as root\n";
+        let _ = std::io::Write::write_all(&mut std::io::stderr(), skipped.as_bytes());
         return;
     }
     let lab = Lab::new("modbus-rtu");
@@ -143,7 +143,7 @@ fn a_program_that_reads_the_port_as_well_is_named() {
     let mut reader = std::process::Command::new("cat");
     reader.arg(lab.port()).stdin(std::process::Stdio::null());
     let reader = Process::of(reader);
-    // It takes the replies; what the drive is told still arrives.
+    // It takes the replies; the commands still arrive at the drive.
     run.end().fails(3, &["(cat) has the port open as well"]);
     drop(reader);
     let (status, ..) = wait_for("an answer", || telemetry(&lab.port()));
@@ -162,7 +162,7 @@ fn an_interrupt_stops_the_motor_and_keeps_the_record() {
     let folder = lab.desk.run();
     let samples = lab.desk.read("samples.csv");
     assert_eq!(column(&samples, "voltage_cmd_v").last(), Some(&0.0));
-    // The drive was told to stop: it is neither running nor did its watchdog have to act.
+    // The drive got its stop: it is neither running nor did its watchdog have to act.
     let (status, fault, _, command_v) = wait_for("an answer", || telemetry(&lab.port()));
     assert_ne!(status & STATE, RUNNING, "status {status:#x}");
     assert_eq!((fault, command_v), (0, 0.0));
@@ -175,7 +175,7 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     let run = lab.until_turning("modbus-rtu");
     run.signal(Signal::SIGKILL);
     assert_eq!(run.end().status, -1);
-    // Another program asks; reading alone does not kick the watchdog.
+    // Another program reads; reading alone does not kick the watchdog.
     let (status, fault, ..) = wait_for("the watchdog", || {
         telemetry(&lab.port()).filter(|(status, ..)| status & STATE == FAULT)
     });
@@ -188,7 +188,7 @@ fn the_drive_stops_itself_when_its_host_is_killed() {
     wait_for("the motor at rest", || telemetry(&lab.port()).filter(at_rest));
     let later = wait_for("an answer", || telemetry(&lab.port()));
     assert!(at_rest(&later), "{later:?}");
-    // What was recorded until then is there, and says that it is not all.
+    // What was recorded until then is there, marked as incomplete.
     let folder = lab.desk.run();
     assert_eq!(lab.desk.manifest()["finished"], false);
     let opened = call("identify {} --json", &[&folder]);
@@ -247,7 +247,7 @@ fn an_emulator_ends_quietly_and_takes_its_path_with_it() {
 }
 
 #[test]
-fn an_emulator_tells_its_states_as_json_one_object_a_line() {
+fn an_emulator_prints_its_states_as_json_one_object_a_line() {
     let desk = Desk::new();
     let pty = desk.path("drive.pty");
     let text = "emulate --json --mystery 3 --pty {}";

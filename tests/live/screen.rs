@@ -52,7 +52,7 @@ fn is_driven(folder: &Desk) -> bool {
     commands(folder).iter().any(|volts| volts.abs() > 1.0)
 }
 
-/// The output is zero when the record ends, and the record says how it ended.
+/// The output is zero when the record ends, and the record has the outcome.
 fn expect_stopped(folder: &Desk) {
     assert!(is_driven(folder));
     assert_eq!(commands(folder).last(), Some(&0.0));

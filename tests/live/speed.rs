@@ -62,7 +62,7 @@ fn the_adaptive_loop_keeps_its_response_over_inertia_jumps() {
     the_record_is_whole(&desk, &found);
 }
 
-/// The first thing that the watch of the loop does is to let the gains fall, in this time; a small swing may be told before.
+/// The first thing that the watch of the loop does is to let the gains fall, in this time; a small swing may be reported before.
 fn softened_within(found: &Value, times_s: std::ops::Range<f64>) {
     let watch = found["loop"]["watch"].as_array().expect("a list");
     let mut done = watch.iter().filter(|one| one["found"] != "swings");
@@ -141,7 +141,7 @@ fn model_with(effect: &str) -> String {
 }
 
 #[test]
-fn a_second_cycle_of_delay_that_the_model_knows_is_tuned_for() {
+fn a_second_cycle_of_delay_that_the_model_has_is_tuned_for() {
     let desk = Desk::new();
     let delay = "command_delay\"\ndelay_s = 0.01\n";
     let emulator = desk.put("emulator.toml", &format!("{EMULATOR}\n[[hidden]]\nid = \"{delay}"));

@@ -1,9 +1,9 @@
-//! A suite that is killed, beside a software drive in a process of its own.
+//! A suite that is killed, with a software drive in a process of its own.
 
 use crate::kit::lab::BenchFile;
 use crate::kit::prelude::*;
 
-/// The kernel asks its command to end in its place, and the command brings the motor to zero.
+/// The kernel sends its command the signal to end, and the command brings the motor to zero.
 #[test]
 fn a_suite_that_is_killed_leaves_no_motor_turning() {
     let desk = Desk::new();
@@ -24,7 +24,7 @@ fn a_suite_that_is_killed_leaves_no_motor_turning() {
     };
     wait_for("a motor that turns", || rows().1.iter().any(|volts| *volts > 35.0).then_some(()));
     process.signal(Signal::SIGKILL);
-    let last = wait_for("a drive that is told to stop", || {
+    let last = wait_for("a drive that got its stop", || {
         let (text, _) = rows();
         let last = text.lines().next_back().unwrap_or_default().to_owned();
         (!last.contains("running")).then_some(last)

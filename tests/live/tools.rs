@@ -34,7 +34,7 @@ fn balances(counters: &Value) {
 }
 
 #[test]
-fn registers_are_read_as_the_contract_says() {
+fn registers_are_read_as_in_the_contract() {
     for link in ["modbus-rtu", "modbus-tcp"] {
         let drive = Drive::start(link);
         let result = drive.ask("registers read 64:2 0x40 --repeat 5 --json", &[]).expect(0).json();
@@ -55,7 +55,7 @@ fn registers_are_read_as_the_contract_says() {
 }
 
 #[test]
-fn a_silence_below_the_standard_is_allowed_and_said() {
+fn a_silence_below_the_standard_is_allowed_with_a_warning() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("registers read 64:2 --gap 0", &[]).expect(0);
     has(&done.stdout, &["17474"]);
@@ -66,7 +66,7 @@ fn a_silence_below_the_standard_is_allowed_and_said() {
 }
 
 #[test]
-fn a_read_that_is_refused_is_named_beside_those_that_are_not() {
+fn a_read_that_is_refused_is_named_with_those_that_are_not() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("registers read 64 60000:2 --json", &[]).expect(3);
     let result = done.json();
@@ -123,7 +123,7 @@ fn a_write_is_shown_guarded_and_read_back() {
     has(&refused.error(), &["--yes"]);
     let before = drive.ask("registers read 73 --json", &[]).expect(0).json();
     assert_ne!(before["reads"][0]["values"][0], 640);
-    // Our emulator says what it is, so --hardware is not needed.
+    // Our emulator has an identity, so --hardware is not needed.
     let result = drive.ask("registers write 73 640 --yes --json", &[]).expect(0).json();
     assert_eq!(result["before"], before["reads"][0]["values"]);
     assert_eq!(result["after"], json!([640]));
@@ -164,7 +164,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
     assert_eq!(packets[0][packets[0].len() - 5..], [3, 0, 64, 0, 1]);
     let drive = Drive::start("stream");
     let file = drive.desk.path("stream.pcap");
-    // It ends at the watchdog check or before; what was said until then is in the capture.
+    // It ends at the watchdog check or before; the frames until then are in the capture.
     let text = BENCH.replace("protocol = \"modbus-rtu\"", "protocol = \"stream\"");
     let (head, _) = text.split_once("[[sequence]]").expect("it has a sequence");
     let text = format!("{head}[[sequence]]\nstandstill = {{ seconds = 0.3 }}\n");
@@ -183,7 +183,7 @@ fn taps_of_tcp_are_ip_packets_and_of_the_stream_its_frames() {
 fn the_doctor_measures_and_leaves_a_line_to_paste() {
     let drive = Drive::start("modbus-rtu");
     let done = drive.ask("doctor --scan --units 1-2 --json", &[]);
-    // The scan asks each unit for 120 ms at least; a machine that stands still that long finds nobody there.
+    // The scan waits for each unit for 120 ms at least; a machine that stands still that long finds nobody there.
     let found = done.expect(0).json();
     assert_eq!(found["exclusive"], true);
     assert_eq!(found["round_trip"]["answered"], 50);

@@ -1,5 +1,5 @@
 //! Every way out of a run with its motor on, over real pseudo-terminals: the drive in a process of its own is the witness.
-//! It was told to stop, and its watchdog did not have to act.
+//! It got its stop, and its watchdog did not have to act.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -71,7 +71,7 @@ impl Lab {
         self.desk.turns(60.0)
     }
 
-    /// By the drive's own word, some time after its watchdog would have acted.
+    /// By the drive's own status, some time after its watchdog would have acted.
     #[track_caller]
     fn expect_stopped(&self, by: &str) {
         std::thread::sleep(Duration::from_millis(1200));
@@ -131,7 +131,7 @@ fn a_terminal_of_one_cell_holds_up_nothing() {
     let mut session = lab.on_screen("run");
     session.resize((1, 1));
     let before = commands(&lab).len();
-    wait_for("rows beside a terminal of one cell", || {
+    wait_for("rows with a terminal of one cell", || {
         session.now();
         (commands(&lab).len() >= before + SMALL_ROWS).then_some(())
     });
@@ -173,7 +173,7 @@ fn signals_without_a_screen_stop_the_motor_with_status_130() {
     at_once(signals, |signal| {
         let lab = Lab::new();
         let run = lab.headless();
-        // As the terminal of a background job asks it to halt.
+        // As the terminal halts a background job.
         run.signal(Signal::SIGTTOU);
         run.signal(Signal::SIGTTIN);
         run.signal(signal);

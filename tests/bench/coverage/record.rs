@@ -30,7 +30,7 @@ pub(crate) enum Sampling {
     Fast,
 }
 
-/// One motor under one excitation: what the sensors would say without noise.
+/// One motor under one excitation: what the sensors would read without noise.
 pub(crate) struct Trajectory {
     /// R, L, Ke, J, Mc.
     pub(crate) truth: [f64; 5],

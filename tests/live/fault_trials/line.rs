@@ -1,4 +1,4 @@
-//! The witness at a pseudo-terminal, in real time: a thread that carries bytes, and knows when it itself stood still.
+//! The witness at a pseudo-terminal, in real time: a thread that carries bytes, and measures when it itself stood still.
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
@@ -18,7 +18,7 @@ use nix::unistd::{read, write};
 
 use crate::witness::drive::Drive;
 
-/// A witness that stood still for longer than this has not seen what happened meanwhile, s.
+/// A witness that stood still for longer than this has no record of what happened meanwhile, s.
 pub(crate) const STOOD_STILL_S: f64 = 0.02;
 
 #[expect(clippy::disallowed_methods, reason = "the witness keeps the time of its log")]

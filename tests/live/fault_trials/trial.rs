@@ -36,8 +36,8 @@ pub(crate) struct Trial {
     pub(crate) status: i32,
     /// What was wrong; nothing: it passed.
     pub(crate) wrong: Vec<String>,
-    /// Of that which was said: the last of it.
-    pub(crate) said: String,
+    /// The last lines of the output.
+    pub(crate) output: String,
     /// R, Ke, J: value, standard deviation, verdict.
     pub(crate) parameters: Vec<String>,
     pub(crate) seconds: f64,
@@ -53,7 +53,7 @@ impl Trial {
         self.wrong.is_empty()
     }
 
-    /// Nothing can be said: the witness did not see what happened, however often it was tried.
+    /// No conclusion: the witness has no record of what happened, however often it was tried.
     pub(crate) fn is_counted_apart(&self) -> bool {
         !self.passed() && self.stood_still_s > STOOD_STILL_S
     }
@@ -85,7 +85,7 @@ impl fmt::Display for Trial {
             write!(f, "\n     {wrong}")?;
         }
         if !self.passed() {
-            write!(f, "\n     said: {}", self.said.replace('\n', "\n           "))?;
+            write!(f, "\n     output: {}", self.output.replace('\n', "\n           "))?;
         }
         Ok(())
     }
@@ -154,7 +154,7 @@ impl Program {
         }
     }
 
-    /// Nobody reads what it says from now on.
+    /// Nobody reads its output from now on.
     fn close(&mut self) {
         match self {
             Self::Headless(process) => drop((process.0.stdout.take(), process.0.stderr.take())),
@@ -181,8 +181,8 @@ impl Program {
         }
     }
 
-    /// Everything that it said, once it has ended; on a screen what stands there.
-    fn said(self) -> String {
+    /// Its whole output, once it has ended; of a screen the text on it.
+    fn output(self) -> String {
         match self {
             Self::Headless(process) => {
                 let done = process.end();
@@ -229,7 +229,7 @@ fn inflict(host: Host, program: &mut Program, folder: &Path, line: &Line) -> f64
             // At once: while it is emptied file by file, the recorder may make it again.
             let gone = folder.join("gone");
             fs::rename(folder.join("runs"), &gone).expect("it was there");
-            fs::remove_dir_all(gone).expect("nobody else knows it");
+            fs::remove_dir_all(gone).expect("the folder of this trial");
         }
         Host::DiskFull => {}
     }
@@ -302,10 +302,10 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     let (status, done_s, stood) = sit_through(fault, way, &mut program, desk.folder(), &line);
     let seconds = line.now_s();
     std::thread::sleep(Duration::from_secs_f64(AFTER_S));
-    let mut said = program.said();
+    let mut output = program.output();
     for screen in stood.iter().rev().take(12) {
-        said.push('\n');
-        said.push_str(screen);
+        output.push('\n');
+        output.push_str(screen);
     }
     let state = line.lock();
     let from_s = trials::from_s(fault, &state.drive, done_s);
@@ -321,24 +321,24 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
     drop(state);
     let documents = documents(&desk.out());
     // A screen is full of words; what counts is what stands as an error, and what is kept.
-    let mut told: String = documents.iter().map(|(text, _)| text.as_str()).collect();
-    let is_told = |line: &&str| {
+    let mut reported: String = documents.iter().map(|(text, _)| text.as_str()).collect();
+    let is_notice = |line: &&str| {
         let line = line.trim_start();
         line.starts_with("error:") || line.starts_with("help:")
     };
-    told.extend(said.lines().filter(is_told).map(|line| format!("\n{line}")));
+    reported.extend(output.lines().filter(is_notice).map(|line| format!("\n{line}")));
     if way == Way::Commission && fault.class == Class::GoesOn {
-        told.push_str(&said);
+        reported.push_str(&output);
     }
-    said.push_str(&told);
+    output.push_str(&reported);
     if fault.act != Act::Host(Host::CloseTerminal) {
-        wrong.extend(fault.untold(&told));
+        wrong.extend(fault.untold(&reported));
     }
-    if said.contains("panicked at") {
+    if output.contains("panicked at") {
         wrong.push("it panicked".to_owned());
     }
     let loses_record = matches!(fault.act, Act::Host(Host::FolderGone | Host::DiskFull));
-    if loses_record && way == Way::Run && !said.contains("resistance") {
+    if loses_record && way == Way::Run && !output.contains("resistance") {
         wrong.push("the result was not printed".to_owned());
     }
     let mut parameters = Vec::new();
@@ -346,20 +346,20 @@ fn attempt(fault: &'static Fault, way: Way, seed: u64) -> Trial {
         for (_, result) in &documents {
             let (words, off) = trials::hold_against_truth(SIGMAS, |key| {
                 let parameter = &result["parameters"][key];
-                let verdict = parameter["verdict"].as_str().unwrap_or("not told");
+                let verdict = parameter["verdict"].as_str().unwrap_or("not given");
                 (verdict, parameter["value"].as_f64(), parameter["std"].as_f64())
             });
             parameters.extend(words);
             wrong.extend(off);
         }
     }
-    let last: Vec<&str> = said.lines().filter(|l| !l.trim().is_empty()).collect();
+    let last: Vec<&str> = output.lines().filter(|l| !l.trim().is_empty()).collect();
     Trial {
         fault,
         way,
         status,
         wrong,
-        said: last[..last.len().min(45)].join("\n"),
+        output: last[..last.len().min(45)].join("\n"),
         parameters,
         seconds,
         stood_still_s,
