@@ -5,7 +5,7 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use clap::Args;
-use clap::builder::{PathBufValueParser, TypedValueParser};
+use clap::builder::{PathBufValueParser, PossibleValuesParser, TypedValueParser};
 
 use crate::commands::evidence::{EvidenceFiles, Judging, Prepared, prepare};
 use crate::commands::map::map_help;
@@ -540,14 +540,14 @@ impl LiveArguments {
     }
 }
 
-pub(super) fn by_name<T: Copy, const N: usize>(
+/// The parser of an option with one of these values, each by its name.
+pub(super) fn by_name<T: Copy + Send + Sync + 'static, const N: usize>(
     all: [T; N],
-    name: impl Fn(T) -> &'static str,
-    text: &str,
-) -> Result<T, String> {
-    all.into_iter()
-        .find(|value| name(*value) == text)
-        .ok_or_else(|| format!("expected one of {}", all.map(name).join(", ")))
+    name: fn(T) -> &'static str,
+) -> impl TypedValueParser<Value = T> {
+    let named = move |text: String| all.into_iter().find(|value| name(*value) == text);
+    PossibleValuesParser::new(all.map(name))
+        .try_map(move |text| named(text).ok_or("it is not the name of a value"))
 }
 
 /// Part I of N of the work.

@@ -34,8 +34,8 @@ pub(super) struct Arguments {
     /// Model file; without it that of the first run's folder
     #[arg(long, value_parser = run_path())]
     model: Option<PathBuf>,
-    /// voltage-to-speed, voltage-to-current or current-to-speed; without it current-to-speed if it has a resonance, else the first with sufficient coherence
-    #[arg(long, value_parser = |text: &str| by_name(Pathway::ALL, Pathway::key, text))]
+    /// From which signal to which; without it current-to-speed if it has a resonance, else the first with sufficient coherence
+    #[arg(long, value_parser = by_name(Pathway::ALL, Pathway::key))]
     pathway: Option<Pathway>,
     #[command(flatten)]
     map: MapArguments,

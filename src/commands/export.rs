@@ -34,7 +34,7 @@ pub(super) struct Arguments {
     run: Vec<PathBuf>,
     /// friction (over the speed, both directions) or cogging (over a turn): measured from the torque balance of the runs
     /// with Kt and J of the model, not with the friction or cogging of the model; a bin without data is empty
-    #[arg(long, value_name = "TORQUE", value_parser = |text: &str| by_name(MappedTorque::ALL, MappedTorque::name, text), requires = "run", requires = "model")]
+    #[arg(long, value_name = "TORQUE", value_parser = by_name(MappedTorque::ALL, MappedTorque::name), requires = "run", requires = "model")]
     torque_map: Option<MappedTorque>,
     #[command(flatten)]
     map: MapArguments,

@@ -51,19 +51,19 @@ pub(crate) struct LoopArguments {
     /// Model that the loop is tuned on; without it the nameplate of the bench file
     #[arg(long, value_name = "MODEL")]
     pub(crate) model: Option<PathBuf>,
-    /// pi, addc, mrac, paper-b or load-observer; overrides the bench file
-    #[arg(long, value_name = "CONTROLLER", value_parser = |text: &str| by_name(ControllerKind::ALL, ControllerKind::id, text))]
+    /// The regulator; overrides the bench file
+    #[arg(long, value_name = "CONTROLLER", value_parser = by_name(ControllerKind::ALL, ControllerKind::id))]
     pub(crate) controller: Option<ControllerKind>,
-    /// off, on, or compare: the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
+    /// Whether the torque of the motion and of the model's effects is fed forward, ahead by the delay of the
     /// loop; compare follows the reference twice, without and with it, and shows both tracking errors. Overrides the bench file
-    #[arg(long, value_name = "USE", value_parser = |text: &str| by_name(ForwardUse::ALL, ForwardUse::name, text))]
+    #[arg(long, value_name = "USE", value_parser = by_name(ForwardUse::ALL, ForwardUse::name))]
     pub(crate) feed_forward: Option<ForwardUse>,
     /// Friction or cogging as measured (`export --torque-map`, CSV), instead of the model's wherever it has a value; at most
     /// one of each
     #[arg(long, value_name = "MAP.csv")]
     pub(crate) feed_forward_map: Vec<PathBuf>,
-    /// voltage, current or speed: the quantity that is commanded; overrides the bench file
-    #[arg(long, value_name = "QUANTITY", value_parser = |text: &str| by_name(Actuator::ALL, Actuator::name, text))]
+    /// The quantity that is commanded; overrides the bench file
+    #[arg(long, value_name = "QUANTITY", value_parser = by_name(Actuator::ALL, Actuator::name))]
     pub(crate) actuator: Option<Actuator>,
 }
 

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use crate::commands::arguments::by_name;
 use crate::report::{Bars, Document, Tone};
 use crate::runtime::{Failure, Form, Terminal, read_model, read_text, speed_command};
 use drivebench_control::tuning::{NotchUse, Request, Rule, Tuning, TuningError, tune_over};
@@ -25,9 +26,10 @@ pub(super) struct Arguments {
     /// Model file with every value of the motor (drivebench identify writes one)
     #[arg(long)]
     model: PathBuf,
-    /// Tuning rule
-    #[arg(long, value_enum, default_value_t = RuleName::ModulusOptimum)]
-    rule: RuleName,
+    /// Tuning rule: the large time constant is cancelled (Kessler 1955), the symmetrical one for a plant that integrates
+    /// (Kessler 1958), or natural frequency and damping of the slow poles
+    #[arg(long, default_value = Rule::default().id(), value_parser = by_name(Rule::ALL, Rule::id))]
+    rule: Rule,
     /// Cycles of the loop per second
     #[arg(long, value_name = "HZ", default_value_t = 100.0)]
     rate_hz: f64,
@@ -47,31 +49,11 @@ pub(super) struct Arguments {
     form: Form,
 }
 
-#[derive(Clone, Copy, clap::ValueEnum)]
-enum RuleName {
-    /// Kessler 1955: the large time constant is cancelled
-    ModulusOptimum,
-    /// Kessler 1958: for a plant that integrates
-    SymmetricalOptimum,
-    /// Natural frequency and damping of the slow poles
-    PolePlacement,
-}
-
-impl From<RuleName> for Rule {
-    fn from(name: RuleName) -> Self {
-        match name {
-            RuleName::ModulusOptimum => Self::ModulusOptimum,
-            RuleName::SymmetricalOptimum => Self::SymmetricalOptimum,
-            RuleName::PolePlacement => Self::PolePlacement,
-        }
-    }
-}
-
 pub(super) fn execute(arguments: &Arguments, terminal: &Terminal) -> Result<(), Failure> {
     let file = read_model(&arguments.model)?;
     let timing = timing(arguments)?;
     let request = Request {
-        rule: arguments.rule.into(),
+        rule: arguments.rule,
         bandwidth_rad_s: arguments.bandwidth_hz.map(|hz| std::f64::consts::TAU * hz),
         notch: NotchUse::unless(arguments.no_notch),
     };
