@@ -19,7 +19,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 use record::{Sampling, Trajectory};
 
-use crate::everything;
+use crate::{everything, tolerance};
 
 const SECONDS: f64 = 5.0;
 /// Motors, each with an excitation of its own.
@@ -29,8 +29,6 @@ const FIRST_MOTOR: u64 = 500_000;
 
 const LEAST: f64 = 0.90;
 const MOST: f64 = 0.98;
-/// Standard deviations of a binomial share that a count may lie outside.
-const BINOMIAL: f64 = 2.6;
 
 const KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
@@ -114,11 +112,6 @@ impl Count {
     fn share(self) -> f64 {
         f64::from(self.covered) / f64::from(self.valued)
     }
-
-    /// Widest share that chance leaves of a true one at the edge.
-    fn tolerance(self, edge: f64) -> f64 {
-        BINOMIAL * (edge * (1.0 - edge) / f64::from(self.valued.max(1))).sqrt()
-    }
 }
 
 /// Counts of one scheme on one kind of data, by parameter, with the table's line of each.
@@ -172,7 +165,8 @@ fn check(name: &str, scheme: Scheme, most: f64, keys: std::ops::Range<usize>) {
         for j in keys.clone() {
             let count = counts[j];
             let share = count.share();
-            let allowed = LEAST - count.tolerance(LEAST)..=most + count.tolerance(most);
+            let chance = |edge: f64| tolerance(edge, count.valued as usize);
+            let allowed = LEAST - chance(LEAST)..=most + chance(most);
             if !allowed.contains(&share) {
                 wrong.push(format!("{sampling:?} {} {share:.3}", KEYS[j].key()));
             }

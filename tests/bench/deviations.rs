@@ -22,6 +22,7 @@ use rand_chacha::ChaCha8Rng;
 use rayon::prelude::*;
 
 use crate::diagnosis_on_emulator::record;
+use crate::tolerance;
 
 /// Least shares that may hold the truth, of one parameter and of all together, and the most.
 const LEAST_OF_ONE: f64 = 0.85;
@@ -32,8 +33,6 @@ const LEAST_OF_ALL: f64 = 0.92;
 const APART: f64 = 1.0;
 const WIDER: std::ops::Range<f64> = 0.4..2.0;
 const MOST: f64 = 0.9;
-/// Standard deviations of a binomial share that a count may lie outside.
-const BINOMIAL: f64 = 2.6;
 /// The most of the free run's own 95 % intervals that hold the size of a drop of brushes.
 const MOST_OF_FREE_RUN: f64 = 0.5;
 
@@ -92,10 +91,6 @@ fn machine(id: &str, seed: u64) -> Machine {
 fn held(found: &[Found], sigmas: f64) -> f64 {
     let within = found.iter().filter(|own| own.error.abs() <= sigmas * own.std);
     within.count() as f64 / found.len() as f64
-}
-
-fn tolerance(share: f64, of: usize) -> f64 {
-    BINOMIAL * (share * (1.0 - share) / of as f64).sqrt()
 }
 
 /// Shares of the 95 % intervals of the free run that hold the truth, by key, after those of `add` have been judged.

@@ -17,6 +17,11 @@ pub(crate) fn everything() -> bool {
     std::env::var_os("DRIVEBENCH_EVERYTHING").is_some()
 }
 
+/// The most by which chance lets a counted share lie off its true one: 2.6 standard deviations of a binomial share.
+pub(crate) fn tolerance(share: f64, of: usize) -> f64 {
+    2.6 * (share * (1.0 - share) / of.max(1) as f64).sqrt()
+}
+
 /// The other way round: each run is half of what is known.
 pub(crate) fn swapped(data: &Evidence) -> Evidence {
     Evidence { training: data.holdout.clone(), holdout: data.training.clone(), ..data.clone() }

@@ -27,9 +27,8 @@ use drivebench::report::wording::change::change;
 use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use drivebench::sample::{Channel, Origin, Run};
 
-use crate::everything;
 use crate::placebo::{OF_THE_SPEED, placebos};
-use crate::swapped;
+use crate::{everything, swapped};
 
 fn diagnose(model: &Model, evidence: &Evidence) -> Result<Diagnosis, FitError> {
     drivebench::diagnosis::diagnose(model, evidence.clone())

@@ -25,9 +25,8 @@ use drivebench::report::wording::diagnosis::diagnosis as sentence;
 use rayon::prelude::*;
 use record::{DURATION_S, nameplate, record};
 
-use crate::everything;
 use crate::placebo::{OF_MOTION_AND_CURRENT, placebos};
-use crate::swapped;
+use crate::{everything, swapped};
 
 /// A known effect, its usual size (in the middle of what the study hides), and the key of its size in the emulator.
 struct Dose(&'static str, f64, &'static str);

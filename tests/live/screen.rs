@@ -44,7 +44,7 @@ fn space_stops_the_run_and_q_gives_the_terminal_back() {
 }
 
 /// The commanded volts of the record as far as it is written.
-fn commands(desk: &Desk) -> Vec<f64> {
+pub(crate) fn commands(desk: &Desk) -> Vec<f64> {
     column(&desk.read("samples.csv"), "voltage_cmd_v")
 }
 

@@ -8,6 +8,7 @@ use nix::sys::termios::{FlowArg, tcflow};
 
 use crate::kit::prelude::*;
 use crate::kit::process::{FAULT, RUNNING, STATE, WATCHDOG_TRIPPED, telemetry};
+use crate::screen::commands;
 
 /// A drive in its own process, whose watchdog leaves a loaded machine some time, and a bench that runs for long.
 struct Lab {
@@ -100,7 +101,7 @@ fn a_terminal_that_takes_nothing_for_a_while_holds_up_nothing() {
     const BLOCKED_ROWS: usize = 90;
     let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 1.5");
     let mut session = lab.on_screen("run");
-    let rows = || commands(&lab).len();
+    let rows = || commands(&lab.desk).len();
     let terminal = session.terminal();
     tcflow(&terminal, FlowArg::TCOOFF).unwrap();
     let before = rows();
@@ -130,20 +131,16 @@ fn a_terminal_of_one_cell_holds_up_nothing() {
     let lab = Lab::with("levels_v = [40.0, -40.0, 0.0], hold_s = 1.5");
     let mut session = lab.on_screen("run");
     session.resize((1, 1));
-    let before = commands(&lab).len();
+    let before = commands(&lab.desk).len();
     wait_for("rows with a terminal of one cell", || {
         session.now();
-        (commands(&lab).len() >= before + SMALL_ROWS).then_some(())
+        (commands(&lab.desk).len() >= before + SMALL_ROWS).then_some(())
     });
     session.resize((120, 40));
     session.wait_for("DONE");
     session.press("q");
     assert_eq!(session.end(), 0, "{}", session.text());
     lab.expect_stopped("a small terminal");
-}
-
-fn commands(lab: &Lab) -> Vec<f64> {
-    column(&lab.desk.read("samples.csv"), "voltage_cmd_v")
 }
 
 #[test]
