@@ -107,7 +107,7 @@ const WIDTH: usize = 96;
 /// `text` under `title`, whose column is `room` wide, broken between words.
 fn block(title: &str, room: usize, text: &str) -> String {
     let rows = wrapped(text, WIDTH - room);
-    format!("{title:<room$}{}\n", rows.join(format!("\n{:room$}", "").as_str()))
+    format!("{title:<room$}{}\n", rows.join(&format!("\n{:room$}", "")))
 }
 
 fn list_text(entries: &[Entry]) -> String {

@@ -224,9 +224,8 @@ fn judge_nameplate(whole: &mut CompletedRun, nameplate: &Motor) {
         let start = start::complete(&start, &run)?;
         let (evidence, fit) = Evidence::new(run, None, None).with_baseline(&start)?;
         // A model that holds where the excitation is slow may not hold where it is fast.
-        let errors = [&evidence.training, &evidence.holdout]
+        let [fitted, held_out] = [&evidence.training, &evidence.holdout]
             .map(|part| Score::of(&fit.model, part, &evidence.noise).map(|score| score.nrms));
-        let [fitted, held_out] = errors;
         let error = fitted?.max(held_out?);
         let is_explained = evidence.noise.is_at_the_floor(error);
         Ok((evidence.noise.source != FloorSource::None && !is_explained).then_some(error))

@@ -34,7 +34,8 @@ pub(super) fn traces(document: &mut Document, run: &ConfirmRun) {
     let panels = panels(run);
     document.figure(
         move || {
-            stacked("measured and simulated current and speed over time", TIME, &panels, MOST_POINTS)
+            let description = "measured and simulated current and speed over time";
+            stacked(description, TIME, &panels, MOST_POINTS)
         },
         format!(
             "Free run of the model over {:?} from its voltage alone; time counts from the start of that run. A line is broken where \

@@ -49,7 +49,8 @@ fn latest_is_the_newest_run_wherever_a_run_is_taken() {
         PathBuf::from(word(&done.json(), "/folder"))
     };
     let link = desk.out().join("latest");
-    assert_eq!(fs::read_link(&link).unwrap(), Path::new(record("1").file_name().unwrap()));
+    let first = record("1");
+    assert_eq!(fs::read_link(&link).unwrap(), Path::new(first.file_name().unwrap()));
     let second = record("2");
     assert_eq!(fs::read_link(&link).unwrap(), Path::new(second.file_name().unwrap()));
     for command in ["identify {}", "compare {}", "replay {}"] {

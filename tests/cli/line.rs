@@ -11,7 +11,7 @@ fn one_seed_is_one_run_to_the_bit_over_every_byte_of_a_line_too() {
         let result = call(&options, &[desk.folder()]).expect(0).json();
         assert_eq!(result["link"]["ok"], result["link"]["sent"]);
         assert!(result["wire"]["bytes_accepted"].as_u64().unwrap() > 40_000);
-        fs::read_to_string(PathBuf::from(word(&result, "/folder")).join("samples.csv")).unwrap()
+        fs::read_to_string(Path::new(word(&result, "/folder")).join("samples.csv")).unwrap()
     };
     let first = samples(1);
     assert!(first.len() > 10_000);

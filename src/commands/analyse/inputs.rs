@@ -127,9 +127,8 @@ mod tests {
         let named = |names: &[&str]| {
             let paths: Vec<PathBuf> = names.iter().map(|name| root.path().join(name)).collect();
             let found = runs(&paths).map_err(|error| error.headline().to_owned())?;
-            let short = |path: PathBuf| {
-                path.strip_prefix(root.path()).unwrap().to_owned().display().to_string()
-            };
+            let short =
+                |path: PathBuf| path.strip_prefix(root.path()).unwrap().display().to_string();
             Ok::<_, String>(found.into_iter().map(short).collect::<Vec<_>>())
         };
         assert_eq!(named(&[""]).unwrap(), ["a/deep/3", "b/1", "b/2"]);
