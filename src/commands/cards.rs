@@ -209,7 +209,7 @@ fn steps(report: &SpeedReport) -> Table {
         .column("overshoot, %", |step| fixed(step.response.overshoot_percent, 1))
         .column("settling, s", |step| {
             let none = if step.settles_in_noise { "in noise" } else { "never" };
-            step.response.settling_s.map(|s| fixed(s, 3)).unwrap_or_else(|| none.to_owned())
+            step.response.settling_s.map_or_else(|| none.to_owned(), |s| fixed(s, 3))
         })
         .column("IAE, rad", |step| fixed(step.response.absolute_error_rad, 2))
         .column("peak output", |step| format!("{} {unit}", fixed(step.peak_output, 1)))

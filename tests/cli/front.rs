@@ -369,7 +369,7 @@ fn a_screen_without_colours_has_none() {
         session.wait_for("stribeck_friction");
         session.press("q");
         session.end();
-        String::from_utf8_lossy(&session.sent).into_owned().split("\u{1b}[").any(|part| {
+        String::from_utf8_lossy(&session.sent).split("\u{1b}[").any(|part| {
             let end = part.find(|c: char| !c.is_ascii_digit() && c != ';');
             let (codes, rest) = part.split_at(end.unwrap_or(0));
             let is_colour = |code: &str| matches!(code.parse(), Ok(30..=37 | 40..=47 | 90..=97));
