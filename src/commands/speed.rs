@@ -387,7 +387,7 @@ fn print_loop(
         }
     };
     terminal.message(&format!("{:<18} {text}", "loop delay"));
-    let controller = regulator.passes.first().map_or("", |(_, first)| first.id());
+    let controller = regulator.controller.id();
     for reason in &regulator.reasons {
         terminal.message(&format!("{controller:<18} {reason}"));
     }

@@ -10,8 +10,8 @@ use super::adaptation::LoadEstimator;
 use super::electrical::Electrical;
 use super::tuning::{NotchUse, Request, TuningError};
 use super::{
-    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, Pi, PiGains, Schedule,
-    SpeedController,
+    Adapted, AntiWindup, Holding, LinearPlant, LoopTiming, Measured, NextStep, Pi, PiGains,
+    Schedule, SpeedController,
 };
 use drivebench_model::plant::{Model, MotorKey};
 
@@ -129,7 +129,6 @@ impl Addc {
         self.estimator.load().settled
     }
 
-    /// Inertia over the model's.
     pub fn inertia_ratio(&self) -> f64 {
         self.model_acceleration_per_a / self.estimator.load().acceleration_per_a
     }
@@ -148,7 +147,7 @@ impl Addc {
         }
     }
 
-    fn adapt(&mut self, reference_rad_s: f64, speed_rad_s: f64, period_s: f64) {
+    fn adapt(&mut self, next: NextStep) {
         let load = self.estimator.load();
         self.moved = false;
         let limited = self.pi.is_limited().then_some("the output is limited");
@@ -174,23 +173,19 @@ impl Addc {
             return;
         }
         // A gain changes by a factor of e in a tenth of a second at most.
-        let most = (period_s / 0.1).exp();
+        let most = (next.period_s / 0.1).exp();
         let moved = |from: f64, to: f64| to.clamp(from / most, from * most);
         let gains = PiGains {
             proportional: moved(now.proportional, proportional),
             integral_time_s: moved(now.integral_time_s, wanted.gains.integral_time_s),
             ..wanted.gains
         };
-        self.pi.set_gains(gains, reference_rad_s, speed_rad_s, period_s);
+        self.pi.set_gains(gains, next);
         self.moved = true;
     }
 }
 
 impl SpeedController for Addc {
-    fn id(&self) -> &'static str {
-        Self::ID
-    }
-
     fn follow_plan(&mut self) -> bool {
         self.pi.follow_plan()
     }
@@ -200,7 +195,7 @@ impl SpeedController for Addc {
         if let Some(electrical) = &mut self.electrical {
             electrical.push(now, period_s);
         }
-        self.adapt(reference_rad_s, now.speed_rad_s, period_s);
+        self.adapt(NextStep { reference_rad_s, speed_rad_s: now.speed_rad_s, period_s });
         self.pi.step(reference_rad_s, now, period_s)
     }
 
@@ -275,14 +270,8 @@ impl SpeedController for Addc {
         true
     }
 
-    fn set_gain_share(
-        &mut self,
-        share: f64,
-        reference_rad_s: f64,
-        speed_rad_s: f64,
-        period_s: f64,
-    ) {
-        self.pi.set_gain_share(share, reference_rad_s, speed_rad_s, period_s);
+    fn set_gain_share(&mut self, share: f64, next: NextStep) {
+        self.pi.set_gain_share(share, next);
         // The caller logs this change.
         self.logged.0 = self.pi.gains().proportional;
     }

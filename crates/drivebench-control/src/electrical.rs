@@ -142,7 +142,7 @@ mod tests {
     use crate::testing::{assert_close, inertia, machine, model, plant, timing};
     use crate::{
         Actuator, Addc, AddcSettings, Compensated, FeedForward, Holding, Limiter, SpeedController,
-        TrialInputs, TrialMachine, trial,
+        Trial, TrialMachine,
     };
 
     #[test]
@@ -182,19 +182,13 @@ mod tests {
             current_noise_a: 0.01,
             ..machine(1.0)
         };
-        let inputs = TrialInputs {
-            reference_rad_s: &|t| {
-                if (t / 0.5).floor() % 2.0 == 0.0 { 90.0 } else { 100.0 }
-            },
-            inertia_kg_m2: &|_| inertia(0.2),
-            load_n_m: &|_| 0.0,
-        };
+        let reference = |t: f64| if (t / 0.5).floor() % 2.0 == 0.0 { 90.0 } else { 100.0 };
         let limiter = Limiter { output: 110.0, current: None };
         // The feed-forward is part of the winding's voltage.
         let forward = FeedForward::new(&model, &[], Actuator::Voltage, &timing, 1e3).unwrap();
         let mut compensated = Compensated::new(Box::new(addc.clone()), forward);
         for controller in [&mut addc as &mut dyn SpeedController, &mut compensated] {
-            trial(&machine, &inputs, controller, &limiter, 2000, 1);
+            Trial::new(machine, limiter, inertia(0.2), reference).run(controller, 20.0);
             let found = controller.adapted().and_then(|now| now.electrical_s);
             assert_close(found.unwrap() / 0.005, 1.0, 0.1);
         }

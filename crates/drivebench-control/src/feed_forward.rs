@@ -15,7 +15,7 @@
 
 use std::collections::VecDeque;
 
-use super::{Actuator, Adapted, LoopTiming, Measured, SpeedController};
+use super::{Actuator, Adapted, LoopTiming, Measured, NextStep, SpeedController};
 use drivebench_model::numerics::count::whole;
 use drivebench_model::plant::{
     Balance, Instant, MappedTorque, Model, MotorKey, ShaftAngle, Terms, TorqueMap,
@@ -324,10 +324,6 @@ impl Compensated {
 }
 
 impl SpeedController for Compensated {
-    fn id(&self) -> &'static str {
-        self.inner.id()
-    }
-
     fn preview(&mut self, reference_rad_s: &dyn Fn(f64) -> f64) {
         self.previewed_rad_s = Some(reference_rad_s(self.preview_s()));
     }
@@ -383,20 +379,13 @@ impl SpeedController for Compensated {
         self.inner.can_reduce_gain()
     }
 
-    fn set_gain_share(
-        &mut self,
-        share: f64,
-        reference_rad_s: f64,
-        speed_rad_s: f64,
-        period_s: f64,
-    ) {
-        let reference = if self.is_planned {
+    fn set_gain_share(&mut self, share: f64, mut next: NextStep) {
+        if self.is_planned {
             // The plan is extended by a period before that step.
-            self.planned((self.plan_ahead_s() - self.forward.period_s).max(0.0))
-        } else {
-            reference_rad_s
-        };
-        self.inner.set_gain_share(share, reference, speed_rad_s, period_s);
+            let ahead_s = (self.plan_ahead_s() - self.forward.period_s).max(0.0);
+            next.reference_rad_s = self.planned(ahead_s);
+        }
+        self.inner.set_gain_share(share, next);
     }
 }
 
@@ -404,7 +393,7 @@ impl SpeedController for Compensated {
 mod tests {
     use super::*;
     use crate::testing::{Fixed, assert_close, limiter, machine, pi_gains, with};
-    use crate::{AntiWindup, Holding, Pi, TrialInputs, TrialPoint, trial};
+    use crate::{AntiWindup, Holding, Pi, Trial, TrialPoint};
     use drivebench_model::plant::{MapBin, MappedValue, Motor};
 
     const TIMING: LoopTiming = LoopTiming { period_s: 0.01, delay_s: 0.02, filter_s: 0.0 };
@@ -546,17 +535,13 @@ mod tests {
     /// The motor of the model behind a line whose delay is that of the timing.
     fn followed(
         inner: impl SpeedController + 'static,
-        reference: &dyn Fn(f64) -> f64,
-        cycles: usize,
+        reference: impl Fn(f64) -> f64,
+        seconds: f64,
     ) -> Vec<TrialPoint> {
-        let inputs = TrialInputs {
-            reference_rad_s: reference,
-            inertia_kg_m2: &|_| 0.0045,
-            load_n_m: &|_| 0.0,
-        };
         let mut controller =
             Compensated::new(Box::new(inner), forward(&plain(), Actuator::Voltage));
-        trial(&machine(0.0), &inputs, &mut controller, &limiter(&TIMING), cycles, 1)
+        let trial = Trial::new(machine(0.0), limiter(&TIMING), 0.0045, reference);
+        trial.run(&mut controller, seconds)
     }
 
     /// Up to 20 rad/s, back and forth between 20 and -20 in 0.4 s.
@@ -574,7 +559,7 @@ mod tests {
     fn feed_forward_alone_reverses_a_known_motor_without_lag() {
         let alone = Fixed { follows_plan: true, ..Fixed::default() };
         let references = alone.references.clone();
-        let trace = followed(alone, &reversals, 200);
+        let trace = followed(alone, reversals, 2.0);
         // A speed that is 10 ms late would be 1 rad/s off.
         assert!(rms(&trace[40..]) < 0.6, "{}", rms(&trace[40..]));
         let references = references.lock().unwrap();
@@ -586,7 +571,7 @@ mod tests {
     #[test]
     fn a_step_beyond_the_current_limit_is_planned_within_it() {
         let pi = Pi::new(pi_gains(0.4, 0.05), AntiWindup::Hold, Holding::default());
-        let trace = followed(pi, &|time_s| if time_s < 0.5 { 0.0 } else { 100.0 }, 120);
+        let trace = followed(pi, |time_s| if time_s < 0.5 { 0.0 } else { 100.0 }, 1.2);
         let most = trace.iter().map(|point| point.speed_rad_s).fold(0.0, f64::max);
         assert!(most < 104.0, "{most}");
         assert!(rms(&trace[100..]) < 0.5, "{}", rms(&trace[100..]));

@@ -53,9 +53,7 @@ pub use response::{Response, SETTLED_SHARE, response};
 pub use schedule::{Schedule, Scheduled};
 pub use spread::drawn;
 pub use timing::LoopTiming;
-pub use trial::{
-    Direct, SpeedSensor, TrialInputs, TrialMachine, TrialPoint, trial, trial_with_sensor,
-};
+pub use trial::{SpeedSensor, Trial, TrialMachine, TrialPoint};
 pub use watch::{Finding, LoopWatch};
 
 #[cfg(test)]
@@ -78,6 +76,14 @@ impl Measured {
     }
 }
 
+/// The step at which new gains begin to act: without it the change of gains would be a step of the output.
+#[derive(Clone, Copy, Debug)]
+pub struct NextStep {
+    pub reference_rad_s: f64,
+    pub speed_rad_s: f64,
+    pub period_s: f64,
+}
+
 /// Gains, and the estimates that they follow. `None`: not known, or not settled.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Adapted {
@@ -93,9 +99,6 @@ pub struct Adapted {
 }
 
 pub trait SpeedController: Send {
-    /// Key in bench files and on the command line.
-    fn id(&self) -> &'static str;
-
     /// The reference of the next cycle and after it: a function of the time since its sample, s.
     fn preview(&mut self, _reference_rad_s: &dyn Fn(f64) -> f64) {}
 
@@ -123,7 +126,9 @@ pub trait SpeedController: Send {
     fn reset(&mut self, now: &Measured, output: f64);
 
     /// Why the gains are what they are, one sentence each.
-    fn explain(&self) -> Vec<String>;
+    fn explain(&self) -> Vec<String> {
+        Vec::new()
+    }
 
     /// A change of the gains since the last call, as a line of the log.
     fn gain_change(&mut self) -> Option<String> {
@@ -139,13 +144,6 @@ pub trait SpeedController: Send {
         false
     }
 
-    /// Gains at this share of the tuned ones from the next step on, which has this reference and this speed.
-    fn set_gain_share(
-        &mut self,
-        _share: f64,
-        _reference_rad_s: f64,
-        _speed_rad_s: f64,
-        _period_s: f64,
-    ) {
-    }
+    /// Gains at this share of the tuned ones from the next step on.
+    fn set_gain_share(&mut self, _share: f64, _next: NextStep) {}
 }

@@ -30,11 +30,6 @@ fn square(half_s: f64, low: f64, high: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// Mechanical time constants of Figure 6 of paper A, s, each for `each_s`.
-fn figure_6(each_s: f64) -> impl Fn(f64) -> f64 {
-    move |t| inertia([0.2, 0.05, 1.0][whole(t / each_s).min(2)])
-}
-
 fn pi(gains: PiGains, timing: &LoopTiming) -> Pi {
     Pi::new(gains, AntiWindup::Hold, holding()).leaving_after(timing.leaving_s())
 }
@@ -47,29 +42,12 @@ fn adaptive() -> Addc {
     Addc::new(&model(), &plant(), &timing(), &AddcSettings::new(holding(), 0.15)).unwrap()
 }
 
-fn mrac(speed_rad_s: f64, timing: &LoopTiming, disconnects: bool) -> Mrac {
-    Mrac::new(&plant(), timing, MracScales { speed_rad_s, current_a: 10.0 }, disconnects).unwrap()
-}
-
 fn load_observer(timing: &LoopTiming) -> LoadObserving {
     LoadObserving::new(&model(), &plant(), timing, &LoadObservingSettings::default()).unwrap()
 }
 
 fn paper_b(period_s: f64) -> PaperB {
     PaperB::new(PaperBPlant::new(period_s, 0.009, 0.2, 0.3538), PaperBSettings::default()).unwrap()
-}
-
-/// A trial with one inertia and without a load.
-fn follow(
-    machine: &TrialMachine,
-    controller: &mut dyn SpeedController,
-    reference_rad_s: &dyn Fn(f64) -> f64,
-    inertia_kg_m2: f64,
-    cycles: usize,
-) -> Vec<TrialPoint> {
-    let inputs =
-        TrialInputs { reference_rad_s, inertia_kg_m2: &|_| inertia_kg_m2, load_n_m: &|_| 0.0 };
-    trial(machine, &inputs, controller, &limiter(&timing()), cycles, 1)
 }
 
 fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
@@ -82,59 +60,18 @@ fn steps(trace: &[TrialPoint], half_s: f64) -> Vec<Response> {
 }
 
 #[test]
-fn figure_6_fixed_gains_oscillate_and_adaptive_ones_do_not() {
-    for noise in [0.0, 1.0] {
-        let run = |controller: &mut dyn SpeedController| {
-            let inputs = TrialInputs {
-                reference_rad_s: &square(4.0, 90.0, 110.0),
-                inertia_kg_m2: &figure_6(24.0),
-                load_n_m: &|_| 0.0,
-            };
-            steps(&trial(&machine(noise), &inputs, controller, &limiter(&timing()), 7200, 1), 4.0)
-        };
-        let (fixed, adaptive) = (run(&mut fixed()), run(&mut adaptive()));
-        // Steps 0..4 at 0.2 s, then (from 24 s) 5..10 at 0.05 s, then 11.. at 1 s; one to adapt.
-        let calm = |step: &Response| step.overshoot_percent < 10.0 && step.settling_s.is_some();
-        let (light, heavy) = (&adaptive[6..11], &adaptive[12..]);
-        assert!(light.iter().all(calm) && heavy.iter().all(calm), "{adaptive:?}");
-        let oscillates = |step: &Response| (25.0..60.0).contains(&step.overshoot_percent);
-        assert!(fixed[6..11].iter().all(oscillates), "{fixed:?}");
-    }
-}
-
-#[test]
 fn a_load_leaves_no_steady_state_error() {
     let mut observer = load_observer(&timing());
     for controller in [&mut fixed() as &mut dyn SpeedController, &mut adaptive(), &mut observer] {
-        let inputs = TrialInputs {
-            reference_rad_s: &|_| 80.0,
-            inertia_kg_m2: &|_| inertia(0.2),
-            load_n_m: &|t| if t > 3.0 { 1.0 } else { 0.0 },
-        };
-        let trace = trial(&machine(0.0), &inputs, controller, &limiter(&timing()), 800, 1);
+        let trial = Trial::new(machine(0.0), limiter(&timing()), inertia(0.2), |_| 80.0)
+            .with_load(|t| if t > 3.0 { 1.0 } else { 0.0 });
+        let trace = trial.run(controller, 8.0);
         assert_close(trace[299].speed_rad_s, 80.0, 0.01);
         assert_close(trace[799].speed_rad_s, 80.0, 0.01);
         let dip = trace[300..].iter().map(|p| 80.0 - p.speed_rad_s).fold(0.0, f64::max);
-        assert!(dip > 0.5 && dip < 10.0, "{}: {dip}", controller.id());
+        assert!(dip > 0.5 && dip < 10.0, "{dip}: {:?}", controller.explain());
     }
     assert_close(observer.load_n_m(), 1.0 + 0.455, 0.05);
-}
-
-#[test]
-fn mrac_fails_in_saturation_unless_it_is_disconnected_there() {
-    // Start and brake cycles from standstill to full speed and back, far into the current limit: the largest root mean square
-    // error of the last two seconds of each step from the ninth on.
-    let error = |controller: &mut dyn SpeedController| {
-        let trace = follow(&machine(0.0), controller, &square(5.0, 0.0, 250.0), inertia(0.2), 6000);
-        let square = |p: &TrialPoint| (p.reference_rad_s - p.speed_rad_s).powi(2);
-        let mean = |end: &[TrialPoint]| end.iter().map(square).sum::<f64>() / end.len() as f64;
-        trace.chunks(500).skip(8).map(|chunk| mean(&chunk[300..]).sqrt()).fold(0.0, f64::max)
-    };
-    let connected = error(&mut mrac(120.0, &timing(), false));
-    assert!(connected > 20.0, "{connected}");
-    let disconnected = error(&mut mrac(120.0, &timing(), true));
-    assert!(disconnected < 5.0, "{disconnected}");
-    assert!(error(&mut adaptive()) < 1.0);
 }
 
 #[test]
@@ -149,19 +86,14 @@ fn a_limit_within_the_drive_is_taken_for_no_load() {
     let (mut observer, mut paper_b) = (load_observer(&timing()), paper_b(0.001));
     let both: [(_, &mut dyn SpeedController); 2] =
         [(machine(0.0), &mut observer), (integrator, &mut paper_b)];
-    let inputs = TrialInputs {
-        reference_rad_s: &|_| 200.0,
-        inertia_kg_m2: &|_| inertia(0.2),
-        load_n_m: &|_| 0.0,
-    };
     for (machine, controller) in both {
-        let cycles = whole(20.0 / machine.period_s);
         let limiter = Limiter { output: 110.0, current: None };
-        let trace = trial(&machine, &inputs, controller, &limiter, cycles, 1);
-        assert_close(trace[cycles - 1].speed_rad_s, 200.0, 1e-6);
+        let trial = Trial::new(machine, limiter, inertia(0.2), |_| 200.0);
+        let trace = trial.run(controller, 20.0);
+        assert_close(trace[trace.len() - 1].speed_rad_s, 200.0, 1e-6);
         // Without a report of the limit they overshoot by 14 and 5 rad/s.
         let most = trace.iter().map(|point| point.speed_rad_s).fold(0.0, f64::max);
-        assert!(most < 204.0, "{}: {most}", controller.id());
+        assert!(most < 204.0, "{most}: {:?}", controller.explain());
     }
 }
 
@@ -177,11 +109,12 @@ fn over_an_eightfold_inertia_addc_is_no_worse_than_pi_by_hand() {
         let addc = Addc::new(&model(), &plant(), &timing, &AddcSettings::new(holding(), 0.15));
         let addc = addc.unwrap().adapting_to_the_winding(&model(), 0.0, &timing);
         let gains = tune(&plant(), &timing, &Request::default()).unwrap().gains;
+        let scales = MracScales { speed_rad_s: 110.0, current_a: 10.0 };
         let mut all: [Box<dyn SpeedController>; 6] = [
             Box::new(pi(by_hand.gains, &timing)),
             Box::new(addc.unwrap()),
             Box::new(pi(gains, &timing)),
-            Box::new(mrac(110.0, &timing, true)),
+            Box::new(Mrac::new(&plant(), &timing, scales, true).unwrap()),
             Box::new(paper_b(PERIOD_S)),
             Box::new(load_observer(&timing)),
         ];
@@ -189,7 +122,8 @@ fn over_an_eightfold_inertia_addc_is_no_worse_than_pi_by_hand() {
             let machine = TrialMachine { delay_periods: 1, ..machine(1.0) };
             let reference = square(2.0, 90.0, 110.0);
             let inertia = ratio * inertia(0.2);
-            let trace = follow(&machine, controller.as_mut(), &reference, inertia, 4800);
+            let trial = Trial::new(machine, limiter(&testing::timing(2.0)), inertia, reference);
+            let trace = trial.run(controller.as_mut(), 48.0);
             let steps = steps(&trace, 2.0).split_off(11);
             let errors = steps.iter().map(|step| step.absolute_error_rad);
             let overshoots = steps.iter().map(|step| step.overshoot_percent);

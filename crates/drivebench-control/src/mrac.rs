@@ -127,10 +127,6 @@ impl Mrac {
 }
 
 impl SpeedController for Mrac {
-    fn id(&self) -> &'static str {
-        Self::ID
-    }
-
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         let speed = now.speed_rad_s;
         let signals = [

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::limiter::limited;
 use super::loop_shape::lag_share;
 use super::notch::NotchMemory;
-use super::{Holding, Measured, PiGains, SpeedController};
+use super::{Holding, Measured, NextStep, PiGains, SpeedController};
 
 /// What the integral part does while the output is limited.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,15 +92,10 @@ impl Pi {
         self.limited.abs() > 0.0
     }
 
-    /// New gains without a step of the output in the next cycle, which has this reference and this speed: the error that
-    /// counts is the one behind the reference's filter and the notch.
-    pub fn set_gains(
-        &mut self,
-        gains: PiGains,
-        reference_rad_s: f64,
-        speed_rad_s: f64,
-        period_s: f64,
-    ) {
+    /// New gains without a step of the output in the next cycle: the error that counts is the one behind the reference's
+    /// filter and the notch.
+    pub fn set_gains(&mut self, gains: PiGains, next: NextStep) {
+        let NextStep { reference_rad_s, speed_rad_s, period_s } = next;
         let error = |pi: &Self| {
             let error = pi.filtered(reference_rad_s, speed_rad_s, period_s) - speed_rad_s;
             pi.gains.proportional * pi.notch.output(pi.gains.notch.as_ref(), error, period_s)
@@ -123,10 +118,6 @@ impl Pi {
 }
 
 impl SpeedController for Pi {
-    fn id(&self) -> &'static str {
-        Self::ID
-    }
-
     fn follow_plan(&mut self) -> bool {
         self.is_planned = true;
         self.holding = Holding::default();
@@ -201,17 +192,11 @@ impl SpeedController for Pi {
         true
     }
 
-    fn set_gain_share(
-        &mut self,
-        share: f64,
-        reference_rad_s: f64,
-        speed_rad_s: f64,
-        period_s: f64,
-    ) {
+    fn set_gain_share(&mut self, share: f64, next: NextStep) {
         let mut gains = self.gains;
         gains.proportional *= share / self.share;
         self.share = share;
-        self.set_gains(gains, reference_rad_s, speed_rad_s, period_s);
+        self.set_gains(gains, next);
     }
 }
 
@@ -268,7 +253,8 @@ mod tests {
             pi.reset(&Measured::at(2.0), 0.7);
             pi.step(10.0, &Measured::at(2.0), 0.01);
             let mut same = pi.clone();
-            pi.set_gains(gains(6.0, notches[1]), 10.0, 2.0, 0.01);
+            let next = NextStep { reference_rad_s: 10.0, speed_rad_s: 2.0, period_s: 0.01 };
+            pi.set_gains(gains(6.0, notches[1]), next);
             let [moved, stayed] =
                 [&mut pi, &mut same].map(|pi| pi.step(10.0, &Measured::at(2.0), 0.01));
             assert_close(moved, stayed, 1e-6);

@@ -95,9 +95,6 @@ impl Fixed {
 }
 
 impl SpeedController for Fixed {
-    fn id(&self) -> &'static str {
-        "fixed"
-    }
     fn follow_plan(&mut self) -> bool {
         self.follows_plan
     }
@@ -107,7 +104,4 @@ impl SpeedController for Fixed {
     }
     fn applied(&mut self, _: f64) {}
     fn reset(&mut self, _: &Measured, _: f64) {}
-    fn explain(&self) -> Vec<String> {
-        Vec::new()
-    }
 }

@@ -37,14 +37,6 @@ pub struct TrialMachine {
     pub current_noise_a: f64,
 }
 
-/// What changes in time: functions of the time since the begin, s.
-pub struct TrialInputs<'a> {
-    pub reference_rad_s: &'a dyn Fn(f64) -> f64,
-    pub inertia_kg_m2: &'a dyn Fn(f64) -> f64,
-    /// Against positive motion, N.m.
-    pub load_n_m: &'a dyn Fn(f64) -> f64,
-}
-
 /// One cycle of a trial, true values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrialPoint {
@@ -69,8 +61,8 @@ pub trait SpeedSensor {
     fn read(&mut self, time_s: f64, speed_rad_s: f64) -> f64;
 }
 
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Direct;
+/// The true speed.
+struct Direct;
 
 impl SpeedSensor for Direct {
     fn read(&mut self, _time_s: f64, speed_rad_s: f64) -> f64 {
@@ -99,73 +91,101 @@ impl Noise {
     }
 }
 
-/// Runs a controller for `cycles` periods from standstill, on the true speed and the machine's noise.
-pub fn trial(
-    machine: &TrialMachine,
-    inputs: &TrialInputs<'_>,
-    controller: &mut dyn SpeedController,
-    limiter: &Limiter,
-    cycles: usize,
-    seed: u64,
-) -> Vec<TrialPoint> {
-    trial_with_sensor(&mut Direct, machine, inputs, controller, limiter, cycles, seed)
+/// A function of the time since the begin, s.
+type OverTime<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
+
+/// A trial from standstill.
+pub struct Trial<'a> {
+    pub machine: TrialMachine,
+    pub limiter: Limiter,
+    /// The machine's noise is added to its reading.
+    pub sensor: Box<dyn SpeedSensor>,
+    /// Of the noise.
+    pub seed: u64,
+    reference_rad_s: OverTime<'a>,
+    inertia_kg_m2: OverTime<'a>,
+    load_n_m: OverTime<'a>,
 }
 
-/// The same with another sensor of the speed; the machine's noise comes on top of what it reads.
-pub fn trial_with_sensor(
-    sensor: &mut dyn SpeedSensor,
-    machine: &TrialMachine,
-    inputs: &TrialInputs<'_>,
-    controller: &mut dyn SpeedController,
-    limiter: &Limiter,
-    cycles: usize,
-    seed: u64,
-) -> Vec<TrialPoint> {
-    let mut noise = Noise(seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
-    let mut x = [0.0, 0.0];
-    let mut load = Load::default();
-    let mut angle_rad = 0.0;
-    let mut pipe = std::collections::VecDeque::from(vec![0.0; machine.delay_periods]);
-    let mut limited = false;
-    let mut trace = Vec::with_capacity(cycles);
-    for cycle in 0..cycles {
-        let time_s = cycle as f64 * machine.period_s;
-        let inertia = (inputs.inertia_kg_m2)(time_s);
-        let now = Measured {
-            speed_rad_s: sensor.read(time_s, x[1]) + machine.speed_noise_rad_s * noise.draw(),
-            current_a: Some(x[0] + machine.current_noise_a * noise.draw()),
-            angle_rad: Some(angle_rad),
-            limited,
-        };
-        let reference_rad_s = (inputs.reference_rad_s)(time_s);
-        controller.preview(&|ahead_s| (inputs.reference_rad_s)(time_s + ahead_s));
-        let wanted = controller.step(reference_rad_s, &now, machine.period_s);
-        let torque = machine.torque_n_m_per_a * x[0] - machine.friction_n_m * x[1].signum();
-        let output = limiter.limit(wanted, now.speed_rad_s, torque / inertia);
-        controller.applied(output);
-        let mut point = TrialPoint {
-            time_s,
-            reference_rad_s,
-            speed_rad_s: x[1],
-            current_a: x[0],
-            measured_rad_s: now.speed_rad_s,
-            output_v: output,
-            limited: limited_by(wanted, output) != 0.0,
-        };
-        pipe.push_back(output);
-        let applied_v = pipe.pop_front().unwrap_or(output);
-        let load_n_m = (inputs.load_n_m)(time_s);
-        let step_s = machine.step_s();
-        let mut step = 0;
-        limited = machine.advance(&mut x, &mut load, (applied_v, inertia, load_n_m), |from, to| {
-            step += 1;
-            angle_rad += 0.5 * step_s * (from + to);
-            sensor.turned(time_s + f64::from(step) * step_s, angle_rad);
-        });
-        point.limited |= limited;
-        trace.push(point);
+impl<'a> Trial<'a> {
+    /// A constant inertia, no load, and the true speed with the machine's noise.
+    pub fn new(
+        machine: TrialMachine,
+        limiter: Limiter,
+        inertia_kg_m2: f64,
+        reference_rad_s: impl Fn(f64) -> f64 + 'a,
+    ) -> Self {
+        Self {
+            machine,
+            limiter,
+            sensor: Box::new(Direct),
+            seed: 1,
+            reference_rad_s: Box::new(reference_rad_s),
+            inertia_kg_m2: Box::new(move |_| inertia_kg_m2),
+            load_n_m: Box::new(|_| 0.0),
+        }
     }
-    trace
+
+    #[must_use]
+    pub fn with_inertia(self, inertia_kg_m2: impl Fn(f64) -> f64 + 'a) -> Self {
+        Self { inertia_kg_m2: Box::new(inertia_kg_m2), ..self }
+    }
+
+    /// A load against positive motion, N.m.
+    #[must_use]
+    pub fn with_load(self, load_n_m: impl Fn(f64) -> f64 + 'a) -> Self {
+        Self { load_n_m: Box::new(load_n_m), ..self }
+    }
+
+    /// Runs a controller for the whole periods of `seconds`.
+    pub fn run(mut self, controller: &mut dyn SpeedController, seconds: f64) -> Vec<TrialPoint> {
+        let (machine, sensor) = (&self.machine, &mut *self.sensor);
+        let cycles = whole((seconds / machine.period_s).round());
+        let mut noise = Noise(self.seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1);
+        let mut x = [0.0, 0.0];
+        let mut load = Load::default();
+        let mut angle_rad = 0.0;
+        let mut pipe = std::collections::VecDeque::from(vec![0.0; machine.delay_periods]);
+        let mut limited = false;
+        let mut trace = Vec::with_capacity(cycles);
+        for cycle in 0..cycles {
+            let time_s = cycle as f64 * machine.period_s;
+            let inertia = (self.inertia_kg_m2)(time_s);
+            let now = Measured {
+                speed_rad_s: sensor.read(time_s, x[1]) + machine.speed_noise_rad_s * noise.draw(),
+                current_a: Some(x[0] + machine.current_noise_a * noise.draw()),
+                angle_rad: Some(angle_rad),
+                limited,
+            };
+            let reference_rad_s = (self.reference_rad_s)(time_s);
+            controller.preview(&|ahead_s| (self.reference_rad_s)(time_s + ahead_s));
+            let wanted = controller.step(reference_rad_s, &now, machine.period_s);
+            let torque = machine.torque_n_m_per_a * x[0] - machine.friction_n_m * x[1].signum();
+            let output = self.limiter.limit(wanted, now.speed_rad_s, torque / inertia);
+            controller.applied(output);
+            let mut point = TrialPoint {
+                time_s,
+                reference_rad_s,
+                speed_rad_s: x[1],
+                current_a: x[0],
+                measured_rad_s: now.speed_rad_s,
+                output_v: output,
+                limited: limited_by(wanted, output) != 0.0,
+            };
+            pipe.push_back(output);
+            let held = (pipe.pop_front().unwrap_or(output), inertia, (self.load_n_m)(time_s));
+            let step_s = machine.step_s();
+            let mut step = 0;
+            limited = machine.advance(&mut x, &mut load, held, |from, to| {
+                step += 1;
+                angle_rad += 0.5 * step_s * (from + to);
+                sensor.turned(time_s + f64::from(step) * step_s, angle_rad);
+            });
+            point.limited |= limited;
+            trace.push(point);
+        }
+        trace
+    }
 }
 
 /// The load behind a coupling: its speed, and the angle by which the motor is ahead.
@@ -284,20 +304,16 @@ mod tests {
     use crate::{LinearPlant, PaperBPlant};
 
     /// Speeds under 12 V from standstill, without noise, delay, friction and limits.
-    fn under_12_v(machine: TrialMachine, inertia_kg_m2: f64, cycles: usize) -> Vec<TrialPoint> {
+    fn under_12_v(machine: TrialMachine, inertia_kg_m2: f64, seconds: f64) -> Vec<TrialPoint> {
         let machine = TrialMachine {
             friction_n_m: 0.0,
             drive_current_limit_a: 1e6,
             delay_periods: 0,
             ..machine
         };
-        let inputs = TrialInputs {
-            reference_rad_s: &|_| 0.0,
-            inertia_kg_m2: &|_| inertia_kg_m2,
-            load_n_m: &|_| 0.0,
-        };
         let limiter = Limiter { output: 1e3, current: None };
-        trial(&machine, &inputs, &mut Fixed::new(12.0), &limiter, cycles, 1)
+        let trial = Trial::new(machine, limiter, inertia_kg_m2, |_| 0.0);
+        trial.run(&mut Fixed::new(12.0), seconds)
     }
 
     #[test]
@@ -311,7 +327,7 @@ mod tests {
             period_s: 0.001,
             ..machine(0.0)
         };
-        let trace = under_12_v(machine, mechanical_s * ke * ke / 3.25, 400);
+        let trace = under_12_v(machine, mechanical_s * ke * ke / 3.25, 0.4);
         let (g, h) = PaperBPlant::new(0.001, electrical_s, mechanical_s, ke).state_space();
         let mut x = nalgebra::Vector2::zeros();
         for point in &trace {
@@ -326,7 +342,7 @@ mod tests {
         let plant = LinearPlant::voltage(&elastic(0.4, 0.02), 0.0).unwrap();
         let coupling = plant.coupling().copied();
         let machine = TrialMachine { coupling, period_s: 0.002, ..machine(0.0) };
-        let trace = under_12_v(machine, 0.0045, 300);
+        let trace = under_12_v(machine, 0.0045, 0.6);
         let (phi, gamma) = plant.held_over(0.002);
         let mut x = nalgebra::Vector4::<f64>::zeros();
         for point in &trace {

@@ -66,7 +66,6 @@ impl LoopWatch {
         }
     }
 
-    /// Share of the tuned gains.
     pub fn share(&self) -> f64 {
         if self.is_restored { 1.0 } else { 0.7_f64.powi(self.steps) }
     }

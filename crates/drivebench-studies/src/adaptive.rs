@@ -7,7 +7,7 @@
 use serde::Serialize;
 
 use super::loops::{
-    Bench, Comparison, Joining, Kind, Named, Sizes, Step, Trial, comparison, cycles, error,
+    Bench, Comparison, Joining, Kind, Named, Sizes, Step, comparison, cycles, error,
     limited_percent, rms, square, steps,
 };
 use super::machine::made_of;
@@ -17,7 +17,6 @@ use drivebench::plant::Model;
 
 /// Mechanical time constants of Figure 6, s; the regulators are made for the first.
 pub const MECHANICAL_S: [f64; 3] = [0.2, 0.05, 1.0];
-/// Forgetting factor of Figure 6.
 pub const FORGETTING: f64 = 0.96;
 /// Sampling period, s, and delay: a host at 100 Hz behind a link that takes two cycles.
 const PERIOD_S: f64 = 0.01;
@@ -25,7 +24,6 @@ const DELAY_CYCLES: f64 = 2.0;
 const SIZES: Sizes =
     Sizes { levels_rad_s: [90.0, 110.0], half_s: 4.0, start_rad_s: 250.0, load_n_m: 1.0 };
 
-/// Figures 5 to 7 of paper A.
 #[derive(Clone, Debug, Serialize)]
 pub struct AdaptiveLoop {
     pub figure_5: Figure5,
@@ -130,8 +128,8 @@ fn joined(
 ) -> (Vec<TrialPoint>, Joining) {
     let mut controller = Joining::new(bench.pi(), bench.addc(), joins_at);
     let [low, high] = SIZES.levels_rad_s;
-    let trace = Trial::of(bench, square(SIZES.half_s, high, low))
-        .with_inertia_ratio(bench, |t| mechanical_s(t) / MECHANICAL_S[0])
+    let trace = (bench.trial(square(SIZES.half_s, high, low)))
+        .with_inertia(|t| bench.inertia() * (mechanical_s(t) / MECHANICAL_S[0]))
         .run(&mut controller, length_s);
     (trace, controller)
 }
@@ -399,7 +397,7 @@ pub(super) fn figure_7(bench: &Bench) -> Figure7 {
 
 fn start_and_brake(bench: &Bench, kind: Kind) -> Saturated {
     let seconds = JUMPS.full_half_s * JUMPS.full_steps;
-    let trial = Trial::of(bench, square(JUMPS.full_half_s, 0.0, JUMPS.full_rad_s));
+    let trial = bench.trial(square(JUMPS.full_half_s, 0.0, JUMPS.full_rad_s));
     let trace = trial.run(&mut *bench.controller(kind), seconds);
     let rows = cycles(JUMPS.full_half_s, PERIOD_S);
     let counted = cycles(JUMPS.counted_s, PERIOD_S);
@@ -425,7 +423,7 @@ fn jump(
     let run = |regulators: &Bench, ratio: &dyn Fn(f64) -> f64| {
         let reference =
             square(JUMPS.small_half_s, JUMPS.middle_rad_s + half, JUMPS.middle_rad_s - half);
-        let mut trial = Trial::of(bench, reference).with_inertia_ratio(bench, ratio);
+        let mut trial = bench.trial(reference).with_inertia(|t| bench.inertia() * ratio(t));
         if !noise {
             trial.machine.speed_noise_rad_s = 0.0;
             trial.machine.current_noise_a = 0.0;

@@ -9,10 +9,10 @@ use serde::Serialize;
 
 use drivebench::control::tuning::{Request, Tuning, tune};
 use drivebench::control::{
-    Actuator, Addc, AddcSettings, AntiWindup, CurrentLimit, Direct, Holding, Limiter, LinearPlant,
+    Actuator, Addc, AddcSettings, AntiWindup, CurrentLimit, Holding, Limiter, LinearPlant,
     LoadObserving, LoadObservingSettings, LoopTiming, Measured, Mrac, MracScales, PaperB,
-    PaperBPlant, PaperBSettings, Pi, Response, SpeedController, SpeedSensor, TrialInputs,
-    TrialMachine, TrialPoint, response, trial_with_sensor,
+    PaperBPlant, PaperBSettings, Pi, Response, SpeedController, Trial, TrialMachine, TrialPoint,
+    response,
 };
 use drivebench::numerics::count::whole;
 use drivebench::plant::{Model, MotorKey};
@@ -20,7 +20,6 @@ use drivebench::plant::{Model, MotorKey};
 /// The models are written down in this program: what is made of them does not fail.
 const FIXED: &str = "made from a model and settings that are written down here";
 
-/// A regulator of the comparison.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
@@ -113,7 +112,12 @@ impl Bench {
         }
     }
 
-    pub(super) fn limiter(&self) -> Limiter {
+    /// A trial on this machine with the inertia of the model.
+    pub(super) fn trial<'a>(&self, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Trial<'a> {
+        Trial::new(self.machine(), self.limiter(), self.inertia(), reference_rad_s)
+    }
+
+    fn limiter(&self) -> Limiter {
         Limiter {
             output: self.voltage_limit_v,
             current: Some(CurrentLimit {
@@ -157,7 +161,6 @@ impl Bench {
         Mrac::new(&self.plant(), &self.timing, scales, disconnects).expect(FIXED)
     }
 
-    /// Paper B's regulator with these settings.
     pub(super) fn paper_b(&self, settings: PaperBSettings) -> PaperB {
         PaperB::new(self.paper_b_plant(), settings).expect(FIXED)
     }
@@ -192,71 +195,6 @@ impl Bench {
     }
 }
 
-/// A function of the time, s.
-type OverTime<'a> = Box<dyn Fn(f64) -> f64 + 'a>;
-
-/// What a regulator is put through, from standstill.
-pub(super) struct Trial<'a> {
-    pub machine: TrialMachine,
-    pub limiter: Limiter,
-    pub sensor: Box<dyn SpeedSensor>,
-    /// Of the sensors' noise.
-    pub seed: u64,
-    reference_rad_s: OverTime<'a>,
-    inertia_kg_m2: OverTime<'a>,
-    load_n_m: OverTime<'a>,
-}
-
-impl<'a> Trial<'a> {
-    /// On the machine of a bench as its regulators have it, on the true speed and the sensors' noise, without a load.
-    pub(super) fn of(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Self {
-        let inertia = bench.inertia();
-        Self {
-            machine: bench.machine(),
-            limiter: bench.limiter(),
-            sensor: Box::new(Direct),
-            seed: 1,
-            reference_rad_s: Box::new(reference_rad_s),
-            inertia_kg_m2: Box::new(move |_| inertia),
-            load_n_m: Box::new(|_| 0.0),
-        }
-    }
-
-    /// The inertia over that of the model.
-    #[must_use]
-    pub(super) fn with_inertia_ratio(self, bench: &Bench, ratio: impl Fn(f64) -> f64 + 'a) -> Self {
-        let inertia = bench.inertia();
-        Self { inertia_kg_m2: Box::new(move |t| inertia * ratio(t)), ..self }
-    }
-
-    #[must_use]
-    pub(super) fn with_load(self, load_n_m: impl Fn(f64) -> f64 + 'a) -> Self {
-        Self { load_n_m: Box::new(load_n_m), ..self }
-    }
-
-    pub(super) fn run(
-        mut self,
-        controller: &mut dyn SpeedController,
-        seconds: f64,
-    ) -> Vec<TrialPoint> {
-        let inputs = TrialInputs {
-            reference_rad_s: &self.reference_rad_s,
-            inertia_kg_m2: &self.inertia_kg_m2,
-            load_n_m: &self.load_n_m,
-        };
-        trial_with_sensor(
-            &mut *self.sensor,
-            &self.machine,
-            &inputs,
-            controller,
-            &self.limiter,
-            cycles(seconds, self.machine.period_s),
-            self.seed,
-        )
-    }
-}
-
-/// Whole periods in a time.
 pub(super) fn cycles(seconds: f64, period_s: f64) -> usize {
     whole((seconds / period_s).round())
 }
@@ -292,10 +230,6 @@ impl Joining {
 }
 
 impl SpeedController for Joining {
-    fn id(&self) -> &'static str {
-        "joining"
-    }
-
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         if !self.joined() {
             return self.fixed.step(reference_rad_s, now, period_s);
@@ -328,10 +262,6 @@ impl SpeedController for Joining {
         self.adaptive.reset(now, output);
         self.output = output;
     }
-
-    fn explain(&self) -> Vec<String> {
-        if self.joined() { self.adaptive.explain() } else { self.fixed.explain() }
-    }
 }
 
 /// Paper B's regulator on a motor with a back-EMF: the voltage that holds the reference at no load is added to its own.
@@ -348,10 +278,6 @@ impl WithBackEmf {
 }
 
 impl SpeedController for WithBackEmf {
-    fn id(&self) -> &'static str {
-        self.inner.id()
-    }
-
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         self.fed_forward_v = self.back_emf_v_s_per_rad * reference_rad_s;
         self.fed_forward_v + self.inner.step(reference_rad_s, now, period_s)
@@ -365,25 +291,12 @@ impl SpeedController for WithBackEmf {
         self.fed_forward_v = self.back_emf_v_s_per_rad * now.speed_rad_s;
         self.inner.reset(now, output - self.fed_forward_v);
     }
-
-    fn explain(&self) -> Vec<String> {
-        let mut lines = self.inner.explain();
-        lines.push(format!(
-            "the back-EMF of the reference is fed forward: {:.1} V",
-            self.fed_forward_v
-        ));
-        lines
-    }
 }
 
 /// No regulator: a held voltage.
 pub(super) struct Held(pub f64);
 
 impl SpeedController for Held {
-    fn id(&self) -> &'static str {
-        "held"
-    }
-
     fn step(&mut self, _: f64, _: &Measured, _: f64) -> f64 {
         self.0
     }
@@ -392,10 +305,6 @@ impl SpeedController for Held {
 
     fn reset(&mut self, _: &Measured, output: f64) {
         self.0 = output;
-    }
-
-    fn explain(&self) -> Vec<String> {
-        vec![format!("{} V, held", self.0)]
     }
 }
 
@@ -412,7 +321,6 @@ impl Named {
         Self { name: name.into(), trace }
     }
 
-    /// Each trace with its name.
     pub fn all<const N: usize>(names: [&str; N], traces: [Vec<TrialPoint>; N]) -> Vec<Self> {
         let pairs = names.into_iter().zip(traces);
         pairs.map(|(name, trace)| Self::new(name, trace)).collect()
@@ -427,7 +335,6 @@ pub(super) fn square(half_s: f64, high: f64, low: f64) -> impl Fn(f64) -> f64 {
     }
 }
 
-/// One step of the reference.
 #[derive(Clone, Debug, Serialize)]
 pub struct Step {
     pub at_s: f64,
@@ -538,7 +445,6 @@ pub(super) fn mean_and_std(trace: &[TrialPoint]) -> (f64, f64) {
     (mean, rms(speeds().map(|speed| speed - mean)))
 }
 
-/// What a bench is put through.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Case {
@@ -598,7 +504,6 @@ pub struct Comparison {
     pub rows: Vec<CaseRow>,
 }
 
-/// Sizes of the cases of a bench.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Sizes {
     pub levels_rad_s: [f64; 2],
@@ -639,8 +544,8 @@ fn row(bench: &Bench, sizes: &Sizes, kind: Kind, case: Case) -> CaseRow {
     let [on_s, off_s, end_s] = [2.0, 3.0, 4.0].map(|halves| halves * half_s);
     let loaded = move |t: f64| case == Case::Load && t >= on_s && t < off_s;
     let load = |t| if loaded(t) { sizes.load_n_m } else { 0.0 };
-    let trace = Trial::of(bench, reference)
-        .with_inertia_ratio(bench, |t| if t >= jump_s { case.ratio() } else { 1.0 })
+    let trace = (bench.trial(reference))
+        .with_inertia(|t| bench.inertia() * if t >= jump_s { case.ratio() } else { 1.0 })
         .with_load(load)
         .run(&mut *bench.controller(kind), 8.0 * half_s);
     let found = if case == Case::Load {

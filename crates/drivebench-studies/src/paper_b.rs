@@ -14,12 +14,12 @@ use super::adaptive::FORGETTING;
 use super::data_sheet::{DataSheet, SHEET, STEPS, data_sheet};
 use super::hall_sensor::HallSensor;
 use super::loops::{
-    Bench, Comparison, Held, LoadChange, Named, Sizes, Trial, WithBackEmf, comparison, cycles,
-    effort_v, error, lasting_rad_s, load_change, mean_and_std, rms, steps, within,
+    Bench, Comparison, Held, LoadChange, Named, Sizes, WithBackEmf, comparison, cycles, effort_v,
+    error, lasting_rad_s, load_change, mean_and_std, rms, steps, within,
 };
 use super::machine::{random, white};
 use drivebench::control::{
-    self, LoadObservingSettings, LoopTiming, PaperBError, PaperBSettings, TrialPoint,
+    self, LoadObservingSettings, LoopTiming, PaperBError, PaperBSettings, Trial, TrialPoint,
 };
 use drivebench::plant::{Model, MotorKey};
 
@@ -44,7 +44,6 @@ const SETTINGS: PaperBSettings = PaperBSettings {
 const SIZES: Sizes =
     Sizes { levels_rad_s: [90.0, 110.0], half_s: 1.0, start_rad_s: 150.0, load_n_m: LOAD_N_M };
 
-/// Paper B, computed again.
 #[derive(Clone, Debug, Serialize)]
 pub struct PaperB {
     pub paper: &'static str,
@@ -116,7 +115,7 @@ fn bench() -> Bench {
 /// A trial on the machine of the paper's own figures, eq. (6) to (9): the back-EMF does not feed back, so that the whole voltage is
 /// at the winding. Friction is its only load but what the course brings.
 fn on_paper<'a>(bench: &Bench, reference_rad_s: impl Fn(f64) -> f64 + 'a) -> Trial<'a> {
-    let mut trial = Trial::of(bench, reference_rad_s);
+    let mut trial = bench.trial(reference_rad_s);
     trial.machine.back_emf_v_s_per_rad = 0.0;
     if let Some(limit) = &mut trial.limiter.current {
         limit.back_emf_v_s_per_rad = 0.0;
@@ -144,7 +143,6 @@ fn held(
     move |t| values[cycles(t, PERIOD_S).min(values.len() - 1)]
 }
 
-/// The regulator with this share of K3.
 fn with_share(compensation: f64) -> PaperBSettings {
     PaperBSettings { compensation, ..SETTINGS }
 }
@@ -215,7 +213,6 @@ pub struct Figure4 {
     pub courses: [Followed; 3],
 }
 
-/// The reference at a time, s.
 fn polyline(time_s: f64) -> f64 {
     let next = POLYLINE.partition_point(|corner| corner.0 <= time_s);
     if next == POLYLINE.len() {
@@ -450,7 +447,6 @@ fn damping(share: f64, filter: f64, split: f64) -> f64 {
     decay / decay.hypot(angle)
 }
 
-/// What disturbs the loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Disturbance {
@@ -635,7 +631,7 @@ fn back_emf(bench: &Bench) -> BackEmf {
     // The paper's plant or the full motor, without friction and noise.
     let trial = |full_motor: bool, reference_rad_s: f64| {
         let mut trial = if full_motor {
-            Trial::of(bench, move |_| reference_rad_s)
+            bench.trial(move |_| reference_rad_s)
         } else {
             on_paper(bench, move |_| reference_rad_s)
         };

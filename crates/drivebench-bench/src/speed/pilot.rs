@@ -6,7 +6,7 @@ use super::regulator::Regulator;
 use super::report::{Cycle, GainChange, SpeedReport, Watched, adaptation_csv, figures, tracking};
 use crate::pilot::{Pilot, PilotEvent};
 use crate::trip::{Trip, TripKind};
-use drivebench_control::{Adapted, Finding, LoopWatch, Measured, SpeedController};
+use drivebench_control::{Adapted, Finding, LoopWatch, Measured, NextStep, SpeedController};
 use drivebench_model::sample::{Channel, Command, Demand, Sample};
 
 /// Cycles that are kept for the figures: at 100 Hz nearly three hours.
@@ -149,7 +149,8 @@ impl SpeedPilot {
         };
         let share = self.watch.share();
         if let Finding::ReduceGain { .. } | Finding::RestoreGain { .. } = finding {
-            self.controller().set_gain_share(share, reference_rad_s, speed_rad_s, period_s);
+            let next = NextStep { reference_rad_s, speed_rad_s, period_s };
+            self.controller().set_gain_share(share, next);
         }
         let (found, error_rad_s, reason) = self.describe(reference_rad_s, &finding);
         if self.found.len() < CHANGES_MAX {
@@ -353,7 +354,7 @@ impl Pilot for SpeedPilot {
         let passes = self.regulator.passes.iter().zip(self.reference.passes());
         let passes: Vec<_> = passes.map(|((forward, _), pass)| (*forward, *pass)).collect();
         Some(SpeedReport {
-            controller: controller.id(),
+            controller: self.regulator.controller.id(),
             actuator: self.regulator.actuator,
             timing,
             delay: self.meter.delay(timing.period_s),

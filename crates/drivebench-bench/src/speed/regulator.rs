@@ -9,13 +9,14 @@ use drivebench_control::{
     Actuator, Addc, AddcSettings, AntiWindup, Compensated, CurrentLimit, FeedForward, Holding,
     Limiter, LinearPlant, LoadObserving, LoadObservingSettings, LoopShape, LoopTiming, Mrac,
     MracScales, PaperB, PaperBError, PaperBPlant, PaperBSettings, Pi, PiGains, PlantError,
-    SpeedController, TrialInputs, TrialMachine, drawn, trial, viscous_n_m_s_per_rad,
+    SpeedController, Trial, TrialMachine, drawn, viscous_n_m_s_per_rad,
 };
 use drivebench_model::numerics::count::whole;
 use drivebench_model::numerics::statistics::extent;
 use drivebench_model::plant::{FittedValue, Model, MotorKey, TorqueMap};
 
 pub struct Regulator {
+    pub controller: ControllerKind,
     pub actuator: Actuator,
     /// One for each pass over the reference, and whether it has feed-forward.
     pub passes: Vec<(bool, Box<dyn SpeedController>)>,
@@ -210,6 +211,7 @@ impl Design<'_> {
             reasons.extend(last.explain());
         }
         Ok(Regulator {
+            controller: self.section.controller,
             actuator: self.actuator,
             passes,
             limiter,
@@ -462,12 +464,8 @@ impl Design<'_> {
         let high = self.peak_reference_rad_s.max(1.0);
         let (step, cycles) = (0.2 * high, 600);
         let half_s = 0.5 * cycles as f64 * self.timing.period_s;
-        let inputs = TrialInputs {
-            reference_rad_s: &|t| if t < half_s { high } else { high - step },
-            inertia_kg_m2: &|_| inertia,
-            load_n_m: &|_| 0.0,
-        };
-        let trace = trial(&machine, &inputs, controller, limiter, cycles, 1);
+        let reference = |t| if t < half_s { high } else { high - step };
+        let trace = Trial::new(machine, *limiter, inertia, reference).run(controller, 2.0 * half_s);
         let speeds = trace[cycles * 9 / 10..].iter().map(|point| point.speed_rad_s);
         // A slow loop with margins may still drift here; of one without margins any change counts.
         let oscillation_rad_s = match self.section.controller {

@@ -138,10 +138,6 @@ fn with_load(plant: &LinearPlant, period_s: f64, inertia: f64) -> (Matrix3<f64>,
 }
 
 impl SpeedController for LoadObserving {
-    fn id(&self) -> &'static str {
-        Self::ID
-    }
-
     fn step(&mut self, reference_rad_s: f64, now: &Measured, period_s: f64) -> f64 {
         let mut correction = self.filter * (now.speed_rad_s - self.x[1]);
         if now.limited {

@@ -220,10 +220,6 @@ impl PaperB {
 }
 
 impl SpeedController for PaperB {
-    fn id(&self) -> &'static str {
-        Self::ID
-    }
-
     fn step(&mut self, reference_rad_s: f64, now: &Measured, _period_s: f64) -> f64 {
         let mut state = self.state;
         self.wanted = self.cycle(&mut state, reference_rad_s, now.speed_rad_s, now.limited);

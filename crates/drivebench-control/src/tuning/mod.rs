@@ -23,7 +23,6 @@ use drivebench_model::numerics::count;
 /// Least phase margin, degrees, and gain margin of a loop.
 const LEAST_MARGINS: (f64, f64) = (40.0, 1.8);
 
-/// How gains follow from a plant.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Rule {
