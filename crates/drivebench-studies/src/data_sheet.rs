@@ -4,6 +4,7 @@
 use serde::Serialize;
 
 use super::machine::{COMPLETE, driven, made_of, stamps};
+use drivebench::numerics::statistics::{extent, mean};
 use drivebench::plant::{Input, Model, Motor, Plant, State};
 use drivebench::sample::Channel;
 use drivebench::units::rad_s_from_rpm;
@@ -157,16 +158,13 @@ fn switched(speed_rad_s: f64) -> [Switched; 3] {
         let found = plant.simulate(&scenario, State::at(rated_a, speed_rad_s));
         // Steady motion from one second on.
         let [speed, current] = [&found.speed_rad_s, &found.current_a].map(|all| &all[5_000..]);
-        let (low, high) = speed
-            .iter()
-            .fold((f64::MAX, f64::MIN), |(low, high), speed| (speed.min(low), speed.max(high)));
-        let mean_of = |values: &[f64]| values.iter().sum::<f64>() / values.len() as f64;
+        let (low, high) = extent(speed);
         Switched {
             model: name,
             voltage_v,
-            speed_rad_s: mean_of(speed),
+            speed_rad_s: mean(speed),
             ripple_rad_s: high - low,
-            current_a: mean_of(current),
+            current_a: mean(current),
         }
     };
     let order = STEPS * SHEET.pole_pairs;

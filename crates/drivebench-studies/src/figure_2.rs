@@ -46,7 +46,6 @@ const FIGURE: Settings = Settings {
     run_up: 150,
 };
 
-/// How the samples become an estimate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Method {

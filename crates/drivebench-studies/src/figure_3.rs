@@ -11,7 +11,6 @@ use super::{CHOSEN, NoiseModel, Trace};
 use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
 use drivebench::plant::{Motor, MotorKey};
 
-/// The figure's own values.
 pub(super) struct Settings {
     /// The paper's.
     pub forgetting: f64,

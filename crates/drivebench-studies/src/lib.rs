@@ -111,7 +111,6 @@ pub struct IterationTime {
     pub scheme_2_ms: f64,
 }
 
-/// Paper A, computed again.
 #[derive(Clone, Debug, Serialize)]
 pub struct PaperA {
     pub paper: &'static str,

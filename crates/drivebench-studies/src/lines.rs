@@ -43,7 +43,6 @@ pub const HOST_STAMPED: Pace =
 #[derive(Clone, Debug, Serialize)]
 pub struct LineRow {
     pub name: String,
-    /// Samples per second that came.
     pub rate_hz: f64,
     /// Half-widths of the stamps, s: median and 99 %; zero where the drive stamps.
     pub half_width_s: [f64; 2],
@@ -52,7 +51,6 @@ pub struct LineRow {
     pub parameters: [ParameterRow; 5],
 }
 
-/// What was found of one parameter.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct ParameterRow {
     /// Runs in which it has a value.
@@ -75,7 +73,6 @@ impl ParameterRow {
     }
 }
 
-/// The whole study.
 #[derive(Clone, Debug, Serialize)]
 pub struct LineStudy {
     pub runs: usize,
@@ -84,7 +81,6 @@ pub struct LineStudy {
     pub causes: Vec<LineRow>,
 }
 
-/// Kinds of records in the study.
 pub const KINDS: usize = 25;
 
 /// `runs` records of each kind; `report` is called with the number of kinds that are done.
@@ -228,7 +224,6 @@ fn parameter_row(j: usize, found: &[(Recorded, Vec<ParameterEstimate>)]) -> Para
     row
 }
 
-/// What the record has of the voltage.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VoltageKnown {
     /// The command, and the voltage at the sample.
@@ -237,7 +232,6 @@ pub enum VoltageKnown {
     Sampled,
 }
 
-/// Which errors of the record are there.
 #[derive(Clone, Copy, Debug)]
 pub struct Errors {
     /// The host stamps samples and commands; else the drive does.
@@ -253,7 +247,6 @@ pub struct Errors {
     pub doubled: f64,
 }
 
-/// What the line takes.
 #[derive(Clone, Copy, Debug)]
 pub struct Pace {
     pub rate_hz: f64,

@@ -240,7 +240,6 @@ pub(super) fn white(random: &mut ChaCha8Rng, samples: usize) -> Vec<f64> {
     (0..samples).map(|_| StandardNormal.sample(random)).collect()
 }
 
-/// `signal + deviation * noise`.
 pub(super) fn with_noise(signal: &[f64], noise: &[f64], deviation: f64) -> Vec<f64> {
     let both = signal.iter().zip(noise);
     both.map(|(signal, noise)| signal + deviation * noise).collect()

@@ -411,7 +411,6 @@ enum Block {
     Table(String, Table),
 }
 
-/// Everything that a study shows.
 #[derive(Clone, Debug, Default)]
 pub struct FiguresAndTables {
     title: String,

@@ -54,7 +54,6 @@ impl Serialize for Errors {
     }
 }
 
-/// What all schemes see.
 struct Record {
     motor: Motor,
     run: Run,
@@ -131,7 +130,6 @@ fn known(scheme: &Scheme, truth: &Motor) -> Model {
     model
 }
 
-/// What `scheme` finds in `record`.
 fn errors(scheme: &Scheme, record: &Record) -> Errors {
     let model = known(scheme, &record.motor);
     let data = Data { run: &record.run, scenario: &record.scenario, model: &model };

@@ -25,7 +25,6 @@ impl LineStudy {
     }
 }
 
-/// Both tables as rows of texts.
 pub(super) fn rows(found: &LineStudy) -> Value {
     let row = |row: &LineRow, error: fn(&ParameterRow) -> f64| {
         let cells = row.parameters.each_ref().map(|own| cell(own, error));

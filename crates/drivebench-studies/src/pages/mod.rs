@@ -20,7 +20,6 @@ use crate::page::{Figure, with};
 /// Every regulator on the same cases, case by case.
 const COMPARISON: &str = include_str!("../layouts/comparison.md");
 
-/// What its layout needs.
 fn compared(found: &Comparison) -> Value {
     let of_case = |case| found.rows.iter().filter(move |row| row.case == case);
     let rows = Case::ALL.into_iter().flat_map(of_case).map(|row| {

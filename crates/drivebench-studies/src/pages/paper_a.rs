@@ -25,7 +25,6 @@ const LAYOUTS: [&str; 3] = [
 ];
 
 impl PaperA {
-    /// The page with its pictures and tables.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
         let identification = with(self, self.identification());
         let adaptation = with(adaptation(&self.adaptive), compared(&self.adaptive.comparison));

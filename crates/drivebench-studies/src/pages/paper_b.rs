@@ -14,7 +14,6 @@ use crate::page::{Figure, FiguresAndTables, Findings, csv, with};
 use crate::paper_b::{BackEmf, Design, Disturbance, Figure4, Figure5};
 
 impl PaperB {
-    /// The page with its pictures and tables.
     pub fn report(&self) -> Result<FiguresAndTables, String> {
         let shown = self.hall.shown.iter().map(|run| (&run.name[..], &run.trace[..]));
         let lines: [(&str, Style, Quantity); 3] = [
@@ -35,7 +34,6 @@ impl PaperB {
             .on(&[include_str!("../layouts/paper_b.md"), COMPARISON])
     }
 
-    /// What the layout needs beside the JSON.
     fn more(&self) -> Value {
         let variance = |of| self.noise.of(of).map(|found| found.speed_variance);
         let loads = self.figure_5.courses.iter().flat_map(|course| {

@@ -57,7 +57,6 @@ impl Study {
         all.filter(|name| !self.of_excitation(group, name).is_empty()).collect()
     }
 
-    /// What the layout needs beside the JSON.
     fn counted(&self) -> Value {
         let [single, nothing] =
             [Group::Single, Group::Null].map(|group| Tally::of(self.of(|a| a.group == group)));

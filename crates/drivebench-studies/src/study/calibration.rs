@@ -9,7 +9,7 @@ use super::{Answer, Finding, Group, GroupCount, Outcome};
 use crate::lines::KEYS;
 use drivebench::diagnosis::{Diagnosis, DiagnosisVerdict, Status};
 use drivebench::emulator::truth::MotorTruth;
-use drivebench::numerics::statistics::median;
+use drivebench::numerics::statistics::{mean, median};
 use drivebench::plant::MotorKey;
 use drivebench::sample::Verdict;
 
@@ -29,7 +29,6 @@ pub struct Bin {
     pub there: Bounded,
 }
 
-/// Counts over answers.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Calibration {
     pub sets: usize,
@@ -112,10 +111,13 @@ impl Calibration {
         Self {
             sets: answers.len(),
             bins: bins(&all),
-            brier: mean(all.iter().map(|f| {
-                let is_there = f.there && !f.of_other_order;
-                (f.probability - f64::from(u8::from(is_there))).powi(2)
-            })),
+            brier: of_any(
+                all.iter().map(|f| {
+                    let is_there = f.there && !f.of_other_order;
+                    (f.probability - f64::from(u8::from(is_there))).powi(2)
+                }),
+                mean,
+            ),
             recalled: Bounded::new(there().count() - missed().count(), there().count()),
             missed: instead,
             false_names: Bounded::new(falsely().count(), named.count()),
@@ -130,13 +132,14 @@ impl Calibration {
                 count(&|finding| finding.there && finding.true_size.is_some()),
             ),
             absent_ruled_out: share(&|finding| excited(finding).then(|| ruled_out(finding))),
-            bound_over_detectable: median_of(
+            bound_over_detectable: of_any(
                 (all.iter().filter(|f| excited(f) && ruled_out(f)))
                     .filter_map(|finding| Some(finding.upper_bound? / finding.detectable?)),
+                median,
             ),
             bounds_hold: share(&Finding::bound_holds),
             intervals_hold: share(&Finding::interval_holds),
-            size_error: median_of(all.iter().filter_map(|f| f.size_error()).map(f64::abs)),
+            size_error: of_any(all.iter().filter_map(|f| f.size_error()).map(f64::abs), median),
             false_none: verdicts(&answers, DiagnosisVerdict::None, |answer| {
                 let shown = |f: &Finding| f.there && f.status != Status::NotExcited;
                 answer.group == Group::Unknown || answer.findings.iter().any(shown)
@@ -172,7 +175,7 @@ pub fn sizes(answers: &[Answer]) -> Vec<Sizes> {
             (!held.is_empty()).then(|| Sizes {
                 effect,
                 intervals_hold: Bounded::new(held.iter().filter(|held| **held).count(), held.len()),
-                error: median_of(of_effect().filter_map(Finding::size_error)),
+                error: of_any(of_effect().filter_map(Finding::size_error), median),
             })
         })
         .collect()
@@ -190,7 +193,7 @@ fn bins(all: &[&Finding]) -> Vec<Bin> {
             Bin {
                 from,
                 to,
-                mean: mean(of_bin.iter().map(|finding| finding.probability)),
+                mean: of_any(of_bin.iter().map(|finding| finding.probability), mean),
                 there: Bounded::new(there.count(), of_bin.len()),
             }
         })
@@ -210,17 +213,12 @@ fn verdicts(
     Bounded::new(given.count(), judged.len())
 }
 
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let (sum, count) = values.fold((0.0, 0_usize), |(sum, n), value| (sum + value, n + 1));
-    (count > 0).then(|| sum / count as f64)
-}
-
-fn median_of(values: impl Iterator<Item = f64>) -> Option<f64> {
+/// None where there are no values.
+fn of_any(values: impl Iterator<Item = f64>, statistic: fn(&[f64]) -> f64) -> Option<f64> {
     let values: Vec<f64> = values.collect();
-    (!values.is_empty()).then(|| median(&values))
+    (!values.is_empty()).then(|| statistic(&values))
 }
 
-/// Answers by hand.
 #[cfg(test)]
 pub(crate) mod by_hand {
     use super::*;
@@ -365,7 +363,6 @@ pub struct Coverage {
     pub std_percent: Option<f64>,
 }
 
-/// Coverage of each parameter over these answers.
 pub fn coverage(answers: &[&Answer]) -> Vec<Coverage> {
     let all = answers.iter().flat_map(|answer| &answer.parameters);
     coverage_of(&all.collect::<Vec<_>>())
@@ -398,7 +395,6 @@ pub fn coverage_of(found: &[&ParameterFinding]) -> Vec<Coverage> {
     KEYS.into_iter().map(of_parameter).collect()
 }
 
-/// Counts of outcomes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Tally {
     pub sets: usize,

@@ -28,7 +28,6 @@ const SECONDS: f64 = 12.0;
 /// The class in tables of machines in which nothing is hidden.
 pub const NOTHING: &str = "nothing";
 
-/// How the machine is moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Excitation {
@@ -73,10 +72,11 @@ impl Excitation {
 }
 
 /// What a set tests.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "group")]
 pub enum Group {
     /// One effect of the catalogue.
+    #[default]
     Single,
     /// Nothing is hidden.
     Null,
@@ -139,7 +139,6 @@ impl Group {
     }
 }
 
-/// One set.
 #[derive(Clone, Debug)]
 pub struct Case {
     pub group: Group,

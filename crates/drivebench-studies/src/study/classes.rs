@@ -15,7 +15,6 @@ use drivebench::numerics::count::whole;
 use drivebench::plant::{Motor, MotorKey};
 use drivebench::sample::{Channel, Origin};
 
-/// One class.
 #[derive(Debug, PartialEq, Serialize)]
 pub struct Class {
     pub name: &'static str,

@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 use super::calibration::{INTERVAL_SIGMAS, ParameterFinding, parameters_of};
 use super::cases::BACKGROUND;
 use super::record::Truth;
-use super::reported::Reported;
 use super::{Case, Group};
 use drivebench::diagnosis::{Candidate, Diagnosis, DiagnosisVerdict, Status};
 use drivebench::emulator::truth::MotorTruth;
@@ -29,7 +28,7 @@ pub(super) fn are_twins(a: &str, b: &str) -> bool {
     a != b && TWINS[0].contains(&a) && TWINS[0].contains(&b)
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
     /// Every hidden effect is named, nothing else is. Where nothing known is hidden: the verdict is so.
@@ -47,11 +46,26 @@ pub enum Outcome {
     /// Something is named that is not there, or a wave with another number of cogs.
     Wrong,
     /// No answer: the fit or the study failed.
+    #[default]
     Failed,
 }
 
-/// The answer to one set.
-#[derive(Clone, Debug, Serialize)]
+impl Outcome {
+    pub(super) const fn reason(self) -> &'static str {
+        match self {
+            Self::Right => "the answer is what is hidden, and nothing else",
+            Self::Twin => "the twin of what is hidden was named",
+            Self::Ambiguous => "what is hidden is in the set that the answer leaves open",
+            Self::Partial => "a part of what is hidden was named, and nothing that is not there",
+            Self::NotExcited => "what is hidden was reported as not excited",
+            Self::Abstained => "what is hidden was not named, and nothing else was",
+            Self::Wrong => "what was named is not there, or has another number of waves",
+            Self::Failed => "there is no answer",
+        }
+    }
+}
+
+#[derive(Clone, Debug, Default, Serialize)]
 pub struct Answer {
     pub group: Group,
     pub excitation: &'static str,
@@ -100,15 +114,8 @@ impl Answer {
             excitation: case.excitation.name(),
             class: case.class(),
             seed: case.seed,
-            outcome: Outcome::Failed,
-            verdict: None,
-            effects: vec![],
-            sufficient: false,
-            holdout_before: None,
-            holdout_after: None,
             sentence: reason,
-            findings: vec![],
-            parameters: vec![],
+            ..Self::default()
         }
     }
 
@@ -131,13 +138,13 @@ impl Answer {
 
 /// What counts of an answer.
 pub(super) struct Claims<'a> {
-    verdict: DiagnosisVerdict,
-    effects: Vec<&'a str>,
+    pub(super) verdict: DiagnosisVerdict,
+    pub(super) effects: Vec<&'a str>,
     /// Named, or reported as not distinguished from what is named.
-    pool: Vec<&'a str>,
-    not_excited: Vec<&'a str>,
+    pub(super) pool: Vec<&'a str>,
+    pub(super) not_excited: Vec<&'a str>,
     /// Waves in a turn of what is named.
-    orders: Vec<(&'a str, f64)>,
+    pub(super) orders: Vec<(&'a str, f64)>,
 }
 
 impl<'a> Claims<'a> {
@@ -153,19 +160,6 @@ impl<'a> Claims<'a> {
                 .collect(),
             orders: orders(&diagnosis.model.model),
         }
-    }
-
-    /// Of an answer as JSON has it, whose effects are all that it leaves open; none where its verdict is unknown.
-    pub(super) fn of_answer(answer: &'a Reported) -> Option<Self> {
-        let effects: Vec<&str> = answer.effects.iter().map(String::as_str).collect();
-        let order = |id: &&'a str| Some((*id, answer.value(id, ORDER)?));
-        Some(Self {
-            verdict: serde_json::from_value(answer.verdict.as_str().into()).ok()?,
-            pool: effects.clone(),
-            not_excited: answer.not_excited.iter().map(String::as_str).collect(),
-            orders: effects.iter().filter_map(order).collect(),
-            effects,
-        })
     }
 
     /// Whether `id` may have this many waves in a turn, as whole numbers.

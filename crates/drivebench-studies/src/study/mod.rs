@@ -17,7 +17,6 @@ pub mod commission;
 mod judge;
 mod mysteries;
 mod record;
-mod reported;
 #[cfg(test)]
 mod tests;
 
@@ -40,7 +39,6 @@ use drivebench::bench::BenchFile;
 use drivebench::diagnosis::{Evidence, diagnose};
 use drivebench::plant::Model;
 
-/// How large the study is.
 #[derive(Clone, Copy, Debug)]
 pub struct Size {
     /// Sets in each cell (effect and excitation); the other groups are multiples of it.
@@ -51,13 +49,11 @@ pub struct Size {
 }
 
 impl Size {
-    /// How many machines that makes.
     pub fn machines(self) -> usize {
         cases::all(self).len()
     }
 }
 
-/// The study.
 #[derive(Clone, Debug, Serialize)]
 pub struct Study {
     pub study: &'static str,

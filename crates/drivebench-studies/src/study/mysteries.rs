@@ -9,9 +9,8 @@ use serde_json::Value;
 
 use super::calibration::{ParameterFinding, truths};
 use super::judge::{self, Claims};
-use super::reported::Reported;
 use super::{Group, Outcome};
-use drivebench::diagnosis::{Diagnosis, Evidence, diagnose};
+use drivebench::diagnosis::{Diagnosis, DiagnosisVerdict, Evidence, diagnose};
 use drivebench::emulator::mystery::{Truth, draw};
 use drivebench::identification::speed_from_angle;
 use drivebench::plant::{Model, Motor, MotorKey, Scenario};
@@ -20,8 +19,7 @@ use drivebench::report::wording::diagnosis as words;
 use drivebench::sample::Verdict;
 use drivebench::workflow::{ORDER, sizes};
 
-/// One mystery, commissioned.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct MysteryAnswer {
     pub seed: u64,
     /// Id of the hidden effect; `(nothing)`.
@@ -47,43 +45,31 @@ impl MysteryAnswer {
     /// Compares the output of `commission --json` with what the seed hides.
     pub fn of(seed: u64, commissioned: &Value) -> Self {
         let truth = draw(seed).truth;
-        let Some(reported) = Reported::from_json(commissioned) else {
+        let Some(claims) = claims(commissioned) else {
             return Self::failed(seed, "the answer has no verdict".to_owned());
         };
-        let outcome = outcome(&truth, &reported);
+        let outcome = outcome(&truth, &claims);
         let named = truth.effects.iter();
-        let named = named.filter(|effect| reported.effects.contains(&effect.id));
-        let sizes = sizes(named, |id, key| reported.value(id, key));
+        let named = named.filter(|effect| claims.effects.contains(&effect.id.as_str()));
+        let sizes = sizes(named, |id, key| value(commissioned, id, key));
         let diagnosis = &commissioned["diagnosis"];
         Self {
             outcome,
-            reason: reported.reason(truth.effect()),
-            verdict: reported.verdict,
-            effects: reported.effects,
+            verdict: diagnosis["verdict"].as_str().unwrap_or_default().to_owned(),
+            effects: claims.effects.into_iter().map(str::to_owned).collect(),
             holdout_before: diagnosis["holdout_before"].as_f64(),
             holdout_after: diagnosis["holdout_after"].as_f64(),
             size_error_percent: (sizes.iter())
                 .filter_map(|size| Some(size.error_percent?.abs()))
                 .max_by(f64::total_cmp),
             parameters: parameters(&truth, commissioned),
-            ..Self::failed(seed, String::new())
+            ..Self::failed(seed, outcome.reason().to_owned())
         }
     }
 
     /// A mystery for which the program gave no answer.
     pub fn failed(seed: u64, reason: String) -> Self {
-        Self {
-            seed,
-            hidden: hidden(&draw(seed).truth),
-            verdict: String::new(),
-            effects: Vec::new(),
-            outcome: Outcome::Failed,
-            reason,
-            holdout_before: None,
-            holdout_after: None,
-            size_error_percent: None,
-            parameters: Vec::new(),
-        }
+        Self { seed, hidden: hidden(&draw(seed).truth), reason, ..Self::default() }
     }
 
     /// What the answer is called in the confusion matrix.
@@ -96,11 +82,57 @@ impl MysteryAnswer {
     }
 }
 
+fn each(list: &Value) -> impl Iterator<Item = &Value> {
+    list.as_array().into_iter().flatten()
+}
+
+/// What the result claims; none where its verdict is unknown. Of an ambiguous one, all effects that explain the run alike: only
+/// the most probable is among its effects.
+fn claims(commissioned: &Value) -> Option<Claims<'_>> {
+    let diagnosis = &commissioned["diagnosis"];
+    let verdict = serde_json::from_value(diagnosis["verdict"].clone()).ok()?;
+    let mut effects: Vec<&str> = each(&diagnosis["effects"]).filter_map(Value::as_str).collect();
+    if effects.is_empty() {
+        effects.extend(diagnosis["effect"].as_str());
+    }
+    if verdict == DiagnosisVerdict::Ambiguous {
+        for pair in each(&diagnosis["confusable"]) {
+            let pair = || each(pair).filter_map(Value::as_str);
+            if pair().any(|id| effects.contains(&id)) {
+                let others: Vec<&str> = pair().filter(|id| !effects.contains(id)).collect();
+                effects.extend(others);
+            }
+        }
+    }
+    Some(Claims {
+        verdict,
+        pool: effects.clone(),
+        not_excited: each(&diagnosis["candidates"])
+            .filter(|candidate| candidate["status"] == "not_excited")
+            .filter_map(|candidate| candidate["effect"].as_str())
+            .collect(),
+        orders: (effects.iter())
+            .filter_map(|id| Some((*id, value(commissioned, id, ORDER)?)))
+            .collect(),
+        effects,
+    })
+}
+
+/// A parameter of an effect: of the commissioned model, which is fitted with every accepted effect, else of the candidate.
+fn value(commissioned: &Value, id: &str, key: &str) -> Option<f64> {
+    let name = format!("{id}.{key}");
+    let fitted = each(&commissioned["parameters"]).find(|own| own["key"] == name.as_str());
+    fitted.and_then(|own| own["value"].as_f64()).or_else(|| {
+        let mut candidates = each(&commissioned["diagnosis"]["candidates"]);
+        let own = candidates.find(|candidate| candidate["effect"] == id)?;
+        own["parameters"][key]["value"].as_f64()
+    })
+}
+
 /// The motor's parameters of the commissioned model, each with its true value.
 fn parameters(truth: &Truth, commissioned: &Value) -> Vec<ParameterFinding> {
-    let estimates = commissioned["parameters"].as_array();
     let found = truths(&truth.motor).into_iter().filter_map(|(parameter, truth)| {
-        let mut estimates = estimates?.iter();
+        let mut estimates = each(&commissioned["parameters"]);
         let own = estimates.find(|own| own["key"] == parameter.key())?;
         Some(ParameterFinding {
             parameter,
@@ -121,7 +153,7 @@ fn hidden(truth: &Truth) -> String {
     truth.effect().map_or_else(|| NOTHING.to_owned(), |effect| effect.id.clone())
 }
 
-fn outcome(truth: &Truth, reported: &Reported) -> Outcome {
+fn outcome(truth: &Truth, claims: &Claims<'_>) -> Outcome {
     let (group, right) = match truth.effect() {
         None => (Group::Null, vec![]),
         Some(own) if own.is_foreign => (Group::Unknown, vec![]),
@@ -129,8 +161,7 @@ fn outcome(truth: &Truth, reported: &Reported) -> Outcome {
     };
     let mut parameters = truth.effects.iter().flat_map(|own| &own.parameters);
     let order = parameters.find(|one| one.key == ORDER).map(|one| one.value);
-    let claims = Claims::of_answer(reported);
-    claims.map_or(Outcome::Abstained, |claims| judge::outcome(group, &right, &[order], &claims))
+    judge::outcome(group, &right, &[order], claims)
 }
 
 /// A record: its file, which column is what, and the model that its publishers start from.
@@ -165,7 +196,6 @@ const RECORDS: [Record; 2] = [
     },
 ];
 
-/// The diagnosis of one record.
 #[derive(Clone, Debug, Serialize)]
 pub struct RecordAnswer {
     pub machine: &'static str,
@@ -273,6 +303,26 @@ mod tests {
         });
         let answer = MysteryAnswer::of(seed_of("speed_delay"), &reported);
         assert_eq!(answer.outcome, Outcome::Ambiguous);
+    }
+
+    /// By the order of the commissioned model, not by that of the candidate.
+    #[test]
+    fn a_wave_of_another_order_is_not_what_is_hidden() {
+        let seed = seed_of("cogging");
+        let truth = draw(seed).truth;
+        let mut parameters = truth.effects[0].parameters.iter();
+        let order = parameters.find(|one| one.key == ORDER).unwrap().value;
+        for (fitted, expected) in [(order, Outcome::Right), (2.0 * order, Outcome::Wrong)] {
+            let candidate =
+                json!({"effect": "cogging", "parameters": {"order": {"value": 3.0 * order}}});
+            let reported = json!({
+                "diagnosis": {"verdict": "effect", "effects": ["cogging"], "candidates": [candidate]},
+                "parameters": [{"key": "cogging.order", "value": fitted}],
+            });
+            assert_eq!(MysteryAnswer::of(seed, &reported).outcome, expected);
+        }
+        let none = MysteryAnswer::of(seed, &json!({"diagnosis": {"signals": {}}}));
+        assert_eq!(none.outcome, Outcome::Failed);
     }
 
     #[test]
