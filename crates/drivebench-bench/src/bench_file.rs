@@ -17,10 +17,8 @@ use drivebench_model::excitation::{self, ExcitationError, Segment};
 /// The bench of `commission` without a bench file.
 pub const EMBEDDED_DEFAULT: &str =
     include_str!("../../../bench-configs/benches/zk-22fc-emulated.toml");
-/// Name of the embedded bench in messages.
 pub const EMBEDDED_NAME: &str = "zk-22fc-emulated.toml (embedded)";
 
-/// A bench file that cannot be used.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BenchFileError {
     #[error(transparent)]
@@ -48,7 +46,6 @@ impl BenchFileError {
     }
 }
 
-/// A value that a section cannot have.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 #[error("{key} = {value} is not allowed (expected {allowed})")]
 pub struct Refused {
@@ -161,7 +158,6 @@ impl Port {
         }
     }
 
-    /// Whether the drive is the software drive.
     pub const fn is_emulated(&self) -> bool {
         matches!(self, Self::Emulator | Self::Sim | Self::SimRtu)
     }
@@ -352,7 +348,6 @@ impl BenchFile {
         self.program(self.runs.fit).map(drop).map_err(error)
     }
 
-    /// The first value that is not allowed.
     fn refused(&self) -> Option<Refused> {
         let (link, limits) = (&self.link, self.limits());
         let (load, supply) = (&self.load, &self.supply);
@@ -442,7 +437,6 @@ impl BenchFile {
         Ok(())
     }
 
-    /// The checked reference of a speed run.
     pub fn reference(&self, speed: &SpeedSection) -> Result<Reference, ReferenceError> {
         speed.reference(&self.limits(), self.nameplate().as_ref())
     }

@@ -119,7 +119,6 @@ impl CurrentsSection {
         self.seconds + BRAKE_SHARE * self.longest_s + 2.0 * self.rest_s
     }
 
-    /// The first value that is not allowed.
     pub(super) fn refused(&self, limits: &Limits) -> Option<Refused> {
         let turn_rad_s = MOST_OF_LIMIT * limits.speed_rad_s;
         let rows: [(_, &[f64], f64, _); 6] = [
@@ -165,7 +164,6 @@ pub struct CurrentsPilot {
     since_s: f64,
     /// Longest time without a speed, s.
     silence_s: f64,
-    /// The latest speed and when it came.
     speed_rad_s: f64,
     speed_at_s: f64,
 }

@@ -3,7 +3,6 @@
 use serde::Serialize;
 use serde_json::Value;
 
-/// Where two results differ first.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Path of the key, as `parameters.inertia_kg_m2.value`.

@@ -49,7 +49,6 @@ pub struct EscalationPlan {
     pub next: Vec<String>,
 }
 
-/// The escalation before its first step.
 pub fn plan_escalation(bench: &BenchFile) -> Result<Option<EscalationPlan>, ExcitationError> {
     let escalation = Escalation::new(bounds(bench));
     let Some(first) = escalation.stage() else {

@@ -43,7 +43,6 @@ impl RestError {
 /// Signals of which the loss ends a run, if the drive gives them at all.
 const WATCHED: [Channel; 4] = [Channel::Current, Channel::Speed, Channel::Angle, Channel::Bus];
 
-/// The safety guard of one bench session.
 #[derive(Clone, Debug)]
 pub struct Guard {
     limits: Limits,

@@ -64,7 +64,6 @@ pub struct Reasoned {
     pub reason: String,
 }
 
-/// Purpose of the drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum InitUse {
@@ -74,7 +73,6 @@ pub enum InitUse {
     SpeedLoop,
 }
 
-/// A bench file with its reasons.
 #[derive(Clone, Debug)]
 pub struct InitFile {
     pub bench: BenchFile,

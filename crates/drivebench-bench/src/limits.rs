@@ -25,7 +25,6 @@ pub struct Nameplate {
     pub load_torque_n_m: f64,
 }
 
-/// The allowed values of a nameplate.
 pub(super) const POSITIVE: &str = "a positive number; load_torque_n_m may be 0";
 
 /// `[motor]` of a bench file: the rated values, from which the limits follow, are required; the parameters of the motor may be
@@ -48,7 +47,6 @@ pub struct MotorSection {
 }
 
 impl MotorSection {
-    /// Every given number with its key.
     pub fn values(&self) -> Vec<(&'static str, f64)> {
         let mut values = vec![
             ("rated_voltage_v", self.rated_voltage_v),
@@ -134,7 +132,6 @@ impl MotorSection {
         }
     }
 
-    /// The first key that is left out.
     pub fn missing(&self) -> Option<&'static str> {
         MODEL_KEYS.into_iter().find(|key| self.get(*key).is_none()).map(MotorKey::key)
     }
@@ -173,7 +170,6 @@ impl From<&Nameplate> for MotorSection {
     }
 }
 
-/// The parameters of the baseline motor.
 pub(super) const MODEL_KEYS: [MotorKey; 5] = [
     MotorKey::Resistance,
     MotorKey::Inductance,

@@ -12,7 +12,6 @@ const GROWTH: u64 = 10;
 /// An alarm ends after this time without a new frame, s.
 const QUIET_S: f64 = 10.0;
 
-/// A notice with its event.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct LineReport {
     pub(super) event: &'static str,
@@ -21,7 +20,6 @@ pub(super) struct LineReport {
     pub(super) notice: Notice,
 }
 
-/// The alarm of one kind of frames.
 #[derive(Clone, Copy, Debug, Default)]
 struct Alarm {
     events: [&'static str; 2],
@@ -53,7 +51,6 @@ pub(super) struct LineWatch {
     alarms: [Alarm; 5],
     window: VecDeque<Exchange>,
     since_s: Option<f64>,
-    /// The rate reported as lost, Hz.
     lost_hz: Option<f64>,
 }
 
@@ -161,14 +158,12 @@ impl LineWatch {
         })
     }
 
-    /// Clears the exchanges of a finished run.
     pub(super) fn reset(&mut self) {
         self.window.clear();
         self.since_s = None;
         self.lost_hz = None;
     }
 
-    /// Losses of time in the window.
     fn reason(&self, window_s: f64) -> String {
         let (Some(first), Some(last)) = (self.window.front(), self.window.back()) else {
             return format!("no exchange in {window_s:.1} s");

@@ -16,7 +16,6 @@ use drivebench_model::plant::{
 };
 use drivebench_model::sample::{Channel, Demand, DriveState, Sample};
 
-/// A limit that the prediction crosses.
 #[derive(Clone, Debug, Error, PartialEq, Serialize)]
 #[error("segment {segment:?}: predicted {quantity} {predicted:.4} {unit}, limit {limit:.4} {unit}")]
 pub struct Refusal {
@@ -29,7 +28,6 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// The next step.
     pub fn help(&self) -> &'static str {
         match self.quantity {
             "peak current" => "lower slew_v_per_s, or the amplitudes of this segment",
@@ -83,7 +81,6 @@ impl SegmentPlan {
     }
 }
 
-/// The whole prediction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Plan {
     pub duration_s: f64,
@@ -118,7 +115,6 @@ impl Plan {
     }
 }
 
-/// A run that cannot be predicted.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum PlanError {
     #[error(transparent)]
@@ -225,7 +221,6 @@ pub(super) fn under_voltage(name: &str, sample_time_s: Vec<f64>) -> Scenario {
 /// Points of the prediction per control period: peaks lie between the host's samples.
 const POINTS_PER_PERIOD: usize = 10;
 
-/// One predicted instant.
 #[derive(Clone, Copy, Debug, Default)]
 struct Point {
     time_s: f64,
@@ -443,7 +438,6 @@ fn warnings(predicted: &Prediction, plan: &Plan, limits: &Limits, rate_hz: f64) 
     warnings
 }
 
-/// How well a parameter is observable.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Prospect {

@@ -35,7 +35,6 @@ use drivebench_identify::belief::{Factor, Plate, Range, Repeats, Row, Scale, Set
 use drivebench_model::numerics::count::whole;
 use drivebench_model::sample::{Channel, Command, Demand, DriveState, Sample};
 
-/// Name of the waiver.
 pub(super) const PLAUSIBILITY: &str = "plausibility";
 
 const CHECK_ENCODER: &str =
@@ -113,7 +112,6 @@ struct Proven {
     factor: Option<Factor>,
 }
 
-/// Limits of the machine.
 #[derive(Clone, Copy, Debug, Default)]
 struct Bounds {
     speed_rad_s: f64,
@@ -333,7 +331,6 @@ impl Plausibility {
         if self.is_exact() { Settings::REPEATED } else { Settings::REPEATED.max(self.cycles() - 1) }
     }
 
-    /// The last rows, newest first.
     fn latest(&self, rows: usize) -> impl Iterator<Item = &Row> {
         self.history.rows().iter().rev().take(rows)
     }

@@ -113,7 +113,6 @@ impl<T> Latest<T> {
     }
 }
 
-/// The latest snapshot of a run.
 #[derive(Clone, Debug, Default)]
 pub struct SnapshotCell {
     latest: Latest<Snapshot>,

@@ -64,7 +64,6 @@ pub(super) fn cases<const N: usize>(table: &str) -> impl Iterator<Item = [&str; 
 }
 
 impl Nameplate {
-    /// The paper's motor.
     pub(super) fn zk_22fc() -> Self {
         BenchFile::embedded_default().nameplate().unwrap()
     }

@@ -46,7 +46,6 @@ pub(super) fn quantile(values: &mut [f64], share: f64) -> f64 {
     values.get(rank.min(values.len()).wrapping_sub(1)).copied().unwrap_or(0.0)
 }
 
-/// Requested and achieved rate, lateness, missed cycles.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Timing {
     pub rate_asked_hz: f64,

@@ -65,7 +65,6 @@ findings! {
 }
 
 findings! {
-    /// What a map cannot do without.
     #[derive(Clone, Debug, PartialEq)]
     pub enum Missing {
         Time = "no_time",

@@ -103,7 +103,6 @@ pub(super) struct Unit {
 }
 
 impl Unit {
-    /// The unit with this spelling.
     pub(super) fn of(text: &str) -> Option<Self> {
         let (target, unit) = any_unit(&plain(text))?;
         let quantity = match target {

@@ -69,7 +69,6 @@ pub struct Hole {
     pub how: &'static str,
 }
 
-/// The likely map of a file.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Proposal {
     /// The program or instrument that writes such headers.

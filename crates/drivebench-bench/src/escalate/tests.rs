@@ -173,7 +173,6 @@ fn random_bench(seed: u64) -> (BenchFile, EmulatorConfig) {
     (bench, config)
 }
 
-/// The failure with one random motor.
 fn fault_of(seed: u64) -> Option<String> {
     let (bench, config) = random_bench(seed);
     let done = escalated(&bench, &config, seed);

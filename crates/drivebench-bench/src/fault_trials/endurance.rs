@@ -80,7 +80,6 @@ fn resources() -> (u64, usize) {
     (pages.expect("pages are a number"), files.count())
 }
 
-/// Sums over the runs.
 #[derive(Debug, Default)]
 struct Account {
     runs: u64,

@@ -155,7 +155,6 @@ fn unread(request: &InitRequest<'_>, what: &str) -> String {
     }
 }
 
-/// The largest set-point, SI.
 fn largest_set_point(request: &InitRequest<'_>, quantity: Quantity) -> Option<f64> {
     set_point(request, quantity).map(|(_, high)| high)
 }

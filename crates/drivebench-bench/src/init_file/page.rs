@@ -14,7 +14,6 @@ use drivebench_model::text::lines::{capitalised, wrapped};
 /// Longest line, characters.
 const WIDTH: usize = 118;
 
-/// Lines of a bench file.
 #[derive(Default)]
 struct Page(String);
 
@@ -54,7 +53,6 @@ impl Page {
     }
 }
 
-/// The whole file.
 pub(super) fn text(
     request: &InitRequest<'_>,
     bench: &BenchFile,

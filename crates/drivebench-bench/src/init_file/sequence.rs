@@ -22,7 +22,6 @@ pub(super) struct Fitted {
     pub(super) plan: Option<Plan>,
 }
 
-/// Fills in sequence, reference, slew and time.
 pub(super) fn fit(
     bench: &mut BenchFile,
     request: &InitRequest<'_>,

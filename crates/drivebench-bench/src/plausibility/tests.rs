@@ -31,7 +31,6 @@ const FROZEN: SignalFault = SignalFault::Stays(&[Channel::Speed, Channel::Angle]
 const REVERSED: SignalFault = SignalFault::Times(Channel::Speed, -1.0);
 const CURRENT_ZERO: SignalFault = SignalFault::Times(Channel::Current, 0.0);
 
-/// A drive and its fault.
 #[derive(Clone, Copy, Default)]
 struct Traits {
     fault: SignalFault,

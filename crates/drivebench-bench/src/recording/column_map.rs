@@ -6,7 +6,6 @@ use super::RecordingError;
 use drivebench_model::config_text::help_for_unknown;
 use drivebench_model::sample::Channel;
 
-/// One factor of a product of columns.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Factor {
     Column(String),
@@ -69,7 +68,6 @@ impl FromStr for ColumnMap {
     }
 }
 
-/// Splits at separators outside of double quotes.
 pub(super) fn split_unquoted(text: &str, separator: char) -> Vec<&str> {
     let mut is_quoted = false;
     text.split(|letter| {

@@ -61,7 +61,6 @@ impl<R: Read> Read for Bounded<R> {
     }
 }
 
-/// Line feeds for carriage returns.
 pub(super) fn feed_for_return(bytes: &mut [u8]) {
     bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
 }

@@ -127,7 +127,6 @@ fn with_comma(cell: &str) -> Option<f64> {
     std::str::from_utf8(text).ok()?.parse().ok().filter(|value: &f64| value.is_finite())
 }
 
-/// The decimal mark of a number.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Mark {
     None,

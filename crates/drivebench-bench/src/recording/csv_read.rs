@@ -22,7 +22,6 @@ use drivebench_identify::sanity::unit_of_stamps;
 use drivebench_model::numerics::statistics::median;
 use drivebench_model::sample::{Channel, LARGEST, Origin, Run};
 
-/// How a file is to be read.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ReadOptions<'a> {
     /// Columns of a foreign file; without it the headers must be our own.
@@ -225,7 +224,6 @@ impl<R: BufRead> CsvRows<R> {
         self.columns.iter().filter_map(|column| column.target)
     }
 
-    /// Rows read so far.
     pub fn rows(&self) -> usize {
         self.rows
     }

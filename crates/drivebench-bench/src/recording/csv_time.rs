@@ -103,7 +103,6 @@ pub(super) struct TextClock {
     form: Form,
 }
 
-/// Parts of a stamp.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) enum Form {
     #[default]
@@ -172,7 +171,6 @@ impl TextClock {
         }
     }
 
-    /// Days since the first date.
     fn days(&mut self, text: &str) -> Option<i64> {
         if let Some((before, _, days)) = &self.date
             && before == text

@@ -9,11 +9,9 @@ use drivebench_model::sample::{Channel, Run};
 pub(super) const LIMITED: &str = "limited";
 pub(super) const UNCONFIRMED: &str = "unconfirmed";
 
-/// Type of a column of a table.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ColumnKind {
     Quantity,
-    /// A whole number.
     Count,
     Word,
     /// UTC as `2026-01-31T23:59:59Z`.
@@ -59,7 +57,6 @@ impl Row {
         self.cells[channel.index()] = finite.map(|value| value + 0.0);
     }
 
-    /// Adds a remark to the quality.
     pub fn remark(&mut self, channel: Channel, reason: &str) {
         let gap = if self.quality.is_empty() { "" } else { " " };
         let _ = write!(self.quality, "{gap}{}:{reason}", channel.key());

@@ -96,7 +96,6 @@ impl RowProblem {
     }
 }
 
-/// The first letters of a cell.
 fn excerpt(text: &str) -> String {
     let begin: String = text.chars().take(60).collect();
     if begin.len() < text.len() { begin + "..." } else { begin }
@@ -188,7 +187,6 @@ pub enum RecordingError {
 }
 
 impl RecordingError {
-    /// The next step for the reader.
     pub fn help(&self) -> String {
         match self {
             Self::UnknownTarget { help, .. }

@@ -246,7 +246,6 @@ pub(super) struct Journal<S> {
     unsynced_rows: usize,
     /// The first failed sync. It cannot be repeated: the system may have dropped the data.
     sync_error: Option<String>,
-    /// The present error of the disk.
     error: Option<String>,
     status: RecorderStatus,
 }

@@ -152,7 +152,6 @@ impl Manifest {
         self.sides.get(channel.key()).copied()
     }
 
-    /// The text of `manifest.json`.
     pub(super) fn text(&self) -> String {
         let mut text = serde_json::to_string_pretty(self)
             .expect("a manifest has string keys only, so it always has a JSON form");

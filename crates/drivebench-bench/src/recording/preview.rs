@@ -10,7 +10,6 @@ use super::csv_number::NumberFormat;
 use super::csv_time::{TextClock, is_date};
 use super::{MissingValues, ReadOptions, RecordingError};
 
-/// A look at a foreign file.
 #[derive(Clone, Debug, Default)]
 pub struct Preview {
     pub headers: Vec<String>,

@@ -34,7 +34,6 @@ pub struct Recorder {
     status: Arc<Mutex<RecorderStatus>>,
 }
 
-/// The logs of a recorded run.
 pub struct KeptLogs(Option<Journal<Log>>);
 
 impl KeptLogs {
@@ -76,7 +75,6 @@ impl KeptLogs {
     }
 }
 
-/// A recorded run.
 pub struct Kept {
     /// Another one than at the start, where that is gone.
     pub folder: RunFolder,
@@ -260,7 +258,6 @@ impl Durable for Log {
     }
 }
 
-/// The state of the writer thread.
 struct Writer {
     journal: Journal<Log>,
     folder: RunFolder,

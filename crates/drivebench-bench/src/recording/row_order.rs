@@ -13,7 +13,6 @@ use super::csv_write::{LIMITED, UNCONFIRMED};
 use super::{Layout, Row};
 use drivebench_model::sample::{Applied, Channel, Command, Demand, Quality, Sample};
 
-/// A command as it is recorded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommandRow {
     pub command: Command,

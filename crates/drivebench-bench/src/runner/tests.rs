@@ -419,7 +419,6 @@ fn reporting() -> DriveProfile {
     changed("epulse50-dc", "[state]\n", states)
 }
 
-/// Changes the drive at an exchange.
 struct Changed {
     at: u64,
     change: fn(&mut ForeignDrive),

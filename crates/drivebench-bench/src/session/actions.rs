@@ -25,7 +25,6 @@ pub enum Input {
     Intent(Intent),
 }
 
-/// An exchange without a sample.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Lost {
     /// The next cycle may try again.
@@ -74,7 +73,6 @@ pub enum Level {
     Error,
 }
 
-/// A sentence for the user.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Notice {
     pub level: Level,
@@ -171,7 +169,6 @@ impl Phase {
         self.is_energised() || matches!(self, Self::Stopping)
     }
 
-    /// Whether the drive's output may be on.
     pub const fn is_energised(self) -> bool {
         matches!(self, Self::Armed | Self::Running | Self::RampDown)
     }

@@ -265,7 +265,6 @@ impl Reference {
         line.from + share * (line.to - line.from)
     }
 
-    /// Largest magnitude, rad/s.
     pub fn peak_rad_s(&self) -> f64 {
         let ends = self.lines.iter().flat_map(|line| [line.from, line.to]);
         ends.fold(0.0, |peak, speed| speed.abs().max(peak))

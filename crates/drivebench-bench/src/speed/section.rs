@@ -9,7 +9,6 @@ use drivebench_control::tuning::Rule;
 use drivebench_control::{Actuator, Addc, LoadObserving, Mrac, PaperB, Pi};
 use drivebench_link::Capabilities;
 
-/// A regulator of the catalogue in `control`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum ControllerKind {

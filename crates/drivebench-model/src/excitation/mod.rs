@@ -52,7 +52,6 @@ macro_rules! catalogue {
         }
 
         impl Segment {
-            /// Its key in a bench file.
             pub(super) const fn key(&self) -> &'static str {
                 match self {
                     $(Self::$kind(_) => $key,)*

@@ -68,7 +68,6 @@ use terms::{
     begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
 };
 
-/// The effects that the program diagnoses.
 pub const CATALOGUE: &[&dyn Effect] = &[
     &viscous_friction::EFFECT,
     &quadratic_load::EFFECT,
@@ -283,7 +282,6 @@ pub trait Effect: Sync {
         Vec::new()
     }
 
-    /// How a model file holds its parameters.
     fn layout(&self) -> Layout {
         Layout::Keys
     }
@@ -294,7 +292,6 @@ pub trait Effect: Sync {
     }
 }
 
-/// An effect of the catalogue.
 impl Effect for Card {
     fn card(&self) -> &Card {
         self

@@ -47,7 +47,6 @@ impl Axis {
         }
     }
 
-    /// As it stands in a model file.
     pub const fn key(self) -> &'static str {
         self.names().0
     }

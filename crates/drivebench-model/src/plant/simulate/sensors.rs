@@ -68,7 +68,6 @@ impl<const N: usize> Sensors<N> {
         }
     }
 
-    /// Goes on to the next instant.
     pub fn follow(&mut self, now: Reading<N>) {
         self.follow_with(now, None);
     }
