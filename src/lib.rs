@@ -30,7 +30,9 @@ pub use drivebench_diagnose as diagnosis;
 pub use drivebench_emulator as emulator;
 pub use drivebench_identify as identification;
 pub use drivebench_link as drive;
-pub use drivebench_model::{config_text, excitation, numerics, plant, sample, signal, text, units};
+pub use drivebench_model::{
+    config_text, excitation, numerics, plant, sample, signal, tabulated, text, units,
+};
 
 pub mod commands;
 pub mod report;

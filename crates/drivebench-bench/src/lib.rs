@@ -8,29 +8,6 @@
 //!      DriveLink    \--> recorder, on-line identification, Snapshot --> screen --> Intent
 //! ```
 
-/// An enumeration whose variants have names.
-macro_rules! named {
-    (
-        $(#[$meta:meta])*
-        pub enum $name:ident {
-            $($(#[$attribute:meta])* $variant:ident = $text:literal,)+
-        }
-    ) => {
-        $(#[$meta])*
-        pub enum $name {
-            $($(#[$attribute])* $variant,)+
-        }
-
-        impl $name {
-            pub const fn name(self) -> &'static str {
-                match self {
-                    $(Self::$variant => $text,)+
-                }
-            }
-        }
-    };
-}
-
 mod bench_file;
 mod burst;
 mod check;

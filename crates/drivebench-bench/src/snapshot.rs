@@ -1,5 +1,6 @@
 //! Snapshot of a run for a screen, published twenty times a second of the run; read-only.
 
+use drivebench_model::tabulated;
 use std::collections::VecDeque;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,7 +18,7 @@ use drivebench_link::{Identity, LinkStatistics};
 use drivebench_model::plant::{Input, Model, Motor, Plant, Scenario, State, Trajectory};
 use drivebench_model::sample::{Channel, Demand, DriveState, ParameterEstimate, Sample, Verdict};
 
-named! {
+tabulated! {
     /// Emulator or hardware: shown on every screen.
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, serde::Serialize)]
     #[serde(rename_all = "snake_case")]
@@ -27,6 +28,7 @@ named! {
         #[default]
         Hardware = "HARDWARE",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 impl Target {

@@ -1,12 +1,13 @@
 //! Trips: what ended a run, with the value that was found and the limit that it broke.
 
+use drivebench_model::tabulated;
 use std::fmt::Display;
 
 use serde::{Deserialize, Serialize};
 
 use drivebench_model::sample::DriveState;
 
-named! {
+tabulated! {
     /// The name in events and reports is the snake-case form.
     #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
     #[serde(rename_all = "snake_case")]
@@ -68,6 +69,7 @@ named! {
         LoopSwings = "loop swings",
         LoopSaturated = "loop saturated",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 impl TripKind {

@@ -1,33 +1,27 @@
 //! The actuator of a speed controller.
 
 use drivebench_model::sample::Demand;
+use drivebench_model::tabulated;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Actuator {
-    Voltage,
-    /// Armature current or torque reference, A.
-    Current,
-    /// Speed reference of a drive that has a speed loop of its own, rad/s.
-    Speed,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Actuator {
+        Voltage = "voltage",
+        /// Armature current or torque reference, A.
+        Current = "current",
+        /// Speed reference of a drive that has a speed loop of its own, rad/s.
+        Speed = "speed",
+    }
+    pub const fn name(self) -> &'static str;
 }
 
 impl Actuator {
-    pub const ALL: [Self; 3] = [Self::Voltage, Self::Current, Self::Speed];
-
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Voltage => "V",
             Self::Current => "A",
             Self::Speed => "rad/s",
-        }
-    }
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Voltage => "voltage",
-            Self::Current => "current",
-            Self::Speed => "speed",
         }
     }
 

@@ -3,9 +3,9 @@
 
 use serde::Serialize;
 
-use super::machine::{COMPLETE, driven, made_of, stamps};
+use super::machine::{COMPLETE, made_of, stamps};
 use drivebench::numerics::statistics::{extent, mean};
-use drivebench::plant::{Input, Model, Motor, Plant, State};
+use drivebench::plant::{Input, Model, Motor, Plant, Scenario, State};
 use drivebench::sample::Channel;
 use drivebench::units::rad_s_from_rpm;
 
@@ -153,7 +153,8 @@ fn switched(speed_rad_s: f64) -> [Switched; 3] {
             added.values = values.iter().copied().map(Some).collect();
         }
         let times = stamps(2e-4, 10_000);
-        let scenario = driven(String::new(), Channel::Voltage, vec![(0.0, voltage_v)], times);
+        let scenario =
+            Scenario::planned("", Input::Voltage, Channel::Voltage, vec![(0.0, voltage_v)], times);
         let mut plant = Plant::new(&model, Input::Voltage).expect(COMPLETE);
         let found = plant.simulate(&scenario, State::at(rated_a, speed_rad_s));
         // Steady motion from one second on.

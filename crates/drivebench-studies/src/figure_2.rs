@@ -4,6 +4,7 @@
 //! with the same ratio on the speed sensor it cannot, whatever the form: least squares is then biased. The instrumental
 //! variables are not, but they need hundreds of samples, and get the sample of the jump here.
 
+use drivebench::tabulated;
 use std::array::from_fn;
 use std::ops::Index;
 
@@ -46,30 +47,24 @@ const FIGURE: Settings = Settings {
     run_up: 150,
 };
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Method {
-    /// Scheme 1 as printed, eq. (17), with the paper's forgetting.
-    Printed,
-    /// Eq. (13) and the exact inverse, with the paper's forgetting.
-    Exact,
-    /// As printed, every sample since the start or the jump counting alike.
-    PrintedBatch,
-    /// Instrumental variables over every sample since the start or the jump.
-    InstrumentalVariables,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Method {
+        /// Scheme 1 as printed, eq. (17), with the paper's forgetting.
+        Printed = "printed",
+        /// Eq. (13) and the exact inverse, with the paper's forgetting.
+        Exact = "exact",
+        /// As printed, every sample since the start or the jump counting alike.
+        PrintedBatch = "printed_batch",
+        /// Instrumental variables over every sample since the start or the jump.
+        InstrumentalVariables = "instrumental_variables",
+    }
+    /// In file columns.
+    pub(super) const fn name(self) -> &'static str;
 }
 
 impl Method {
-    /// In file columns.
-    pub(super) const fn name(self) -> &'static str {
-        match self {
-            Self::Printed => "printed",
-            Self::Exact => "exact",
-            Self::PrintedBatch => "printed_batch",
-            Self::InstrumentalVariables => "instrumental_variables",
-        }
-    }
-
     /// With the known sample of the jump, and without forgetting.
     pub(super) const fn is_batch(self) -> bool {
         matches!(self, Self::PrintedBatch | Self::InstrumentalVariables)

@@ -31,6 +31,7 @@ mod schemes;
 pub mod study;
 mod transient;
 
+use drivebench::tabulated;
 use serde::{Serialize, Serializer};
 
 pub use adaptive::AdaptiveLoop;
@@ -66,24 +67,18 @@ const CHOSEN: Figures2And3 = Figures2And3 {
     seeds: 60,
 };
 
-/// Where the noise enters.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum NoiseModel {
-    /// White noise in the difference equation itself, `epsilon_k` of eq. (3): the machine is disturbed and the
-    /// regressors are what they are. Least squares is made for this.
-    EquationError,
-    /// White noise on what is measured: it is in the regressors too.
-    Sensor,
-}
-
-impl NoiseModel {
-    const fn text(self) -> &'static str {
-        match self {
-            Self::EquationError => "equation error",
-            Self::Sensor => "sensor noise",
-        }
+tabulated! {
+    /// Where the noise enters.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum NoiseModel {
+        /// White noise in the difference equation itself, `epsilon_k` of eq. (3): the machine is disturbed and the
+        /// regressors are what they are. Least squares is made for this.
+        EquationError = "equation error",
+        /// White noise on what is measured: it is in the regressors too.
+        Sensor = "sensor noise",
     }
+    const fn text(self) -> &'static str;
 }
 
 /// An estimate over the samples, NaN where the scheme gives none.

@@ -5,6 +5,7 @@
 //!                                                                             \--> every regulator on the same cases
 //! ```
 
+use drivebench::tabulated;
 use serde::Serialize;
 
 use drivebench::control::tuning::{Request, Tuning, tune};
@@ -20,23 +21,26 @@ use drivebench::plant::{Model, MotorKey};
 /// The models are written down in this program: what is made of them does not fail.
 const FIXED: &str = "made from a model and settings that are written down here";
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    #[default]
-    Pi,
-    Addc,
-    /// Not in the table: ADDC as paper A has it, without a watch for jumps.
-    AddcForgetting,
-    MracConnected,
-    MracDisconnected,
-    PaperB,
-    LoadObserver,
+tabulated! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Kind {
+        #[default]
+        Pi = "pi (fixed)",
+        Addc = "addc",
+        /// Not in the table: ADDC as paper A has it, without a watch for jumps.
+        AddcForgetting = "addc, forgetting alone",
+        MracConnected = "mrac, always connected",
+        MracDisconnected = "mrac, disconnected in saturation",
+        PaperB = "paper-b",
+        LoadObserver = "load-observer",
+    }
+    pub const fn name(self) -> &'static str;
 }
 
 impl Kind {
     /// Those of the table.
-    pub const ALL: [Self; 6] = [
+    pub const COMPARED: [Self; 6] = [
         Self::Pi,
         Self::Addc,
         Self::MracConnected,
@@ -44,18 +48,6 @@ impl Kind {
         Self::PaperB,
         Self::LoadObserver,
     ];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Pi => "pi (fixed)",
-            Self::Addc => "addc",
-            Self::AddcForgetting => "addc, forgetting alone",
-            Self::MracConnected => "mrac, always connected",
-            Self::MracDisconnected => "mrac, disconnected in saturation",
-            Self::PaperB => "paper-b",
-            Self::LoadObserver => "load-observer",
-        }
-    }
 }
 
 /// A motor behind a voltage command, what its loop takes in time, and the model of its regulators.
@@ -513,7 +505,7 @@ pub(super) struct Sizes {
 }
 
 pub(super) fn comparison(bench: &Bench, sizes: &Sizes) -> Comparison {
-    let rows = Kind::ALL
+    let rows = Kind::COMPARED
         .into_iter()
         .flat_map(|kind| Case::ALL.map(|case| row(bench, sizes, kind, case)))
         .collect();

@@ -1,6 +1,7 @@
 //! The motors of the paper's figures and their exact discrete form while they turn forward; excitation, noise and spread over
 //! seeds: everything random here comes from a stated seed.
 
+use drivebench::tabulated;
 use nalgebra::Matrix4;
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -10,7 +11,6 @@ use serde::Serialize;
 use drivebench::numerics::count::whole;
 use drivebench::numerics::statistics::variance;
 use drivebench::plant::{Input, Model, Motor, MotorKey, Plant, Scenario, State, Trajectory};
-use drivebench::sample::Channel;
 
 /// A motor with the resistance and back-EMF constant of paper A's ZK-22FC and these time constants, s. The load torque is that
 /// of rated current: large enough to be identified at 60 V at the terminals.
@@ -58,17 +58,7 @@ pub(super) fn stamps(period_s: f64, samples: usize) -> Vec<f64> {
     (0..samples).map(|k| period_s * k as f64).collect()
 }
 
-/// A motor under voltages from their instants on, without anything measured yet.
-pub(super) fn driven(
-    name: String,
-    input_channel: Channel,
-    events: Vec<(f64, f64)>,
-    sample_time_s: Vec<f64>,
-) -> Scenario {
-    Scenario::planned(name, Input::Voltage, input_channel, events, sample_time_s)
-}
-
-/// What the plant does under them.
+/// The baseline motor under the voltages of a scenario.
 pub(super) fn simulated(motor: &Motor, scenario: &Scenario, from: State) -> Trajectory {
     Plant::new(&Model::baseline(motor.clone()), Input::Voltage)
         .expect(COMPLETE)
@@ -174,13 +164,16 @@ pub struct SignalToNoise {
     pub of: RatioOf,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum RatioOf {
-    /// Variances.
-    Power,
-    /// Standard deviations.
-    Amplitude,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum RatioOf {
+        /// Variances.
+        Power = "power",
+        /// Standard deviations.
+        Amplitude = "amplitude",
+    }
+    pub const fn name(self) -> &'static str;
 }
 
 impl SignalToNoise {
@@ -198,15 +191,6 @@ impl SignalToNoise {
         match self.of {
             RatioOf::Power => deviation / self.value.sqrt(),
             RatioOf::Amplitude => deviation / self.value,
-        }
-    }
-}
-
-impl RatioOf {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Power => "power",
-            Self::Amplitude => "amplitude",
         }
     }
 }
@@ -285,6 +269,7 @@ impl Spread {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use drivebench::sample::Channel;
 
     #[test]
     fn the_discrete_form_is_the_plant() {
@@ -294,7 +279,7 @@ mod tests {
             let volts = |k: usize| if k.is_multiple_of(7) { 90.0 } else { 40.0 };
             let start = steady(&motor, 60.0);
             let events = (0..200).map(|k| (times[k], volts(k))).collect();
-            let scenario = driven(String::new(), Channel::Voltage, events, times);
+            let scenario = Scenario::planned("", Input::Voltage, Channel::Voltage, events, times);
             let from = State::at(start.current_a, start.speed_rad_s);
             let truth = simulated(&motor, &scenario, from);
             let hold = ZeroOrderHold::new(&motor, 0.02);

@@ -8,13 +8,13 @@ use rayon::prelude::*;
 use serde::{Serialize, Serializer};
 
 use super::CHOSEN;
-use super::machine::{COMPLETE, driven, figures, forward, motor, simulated, stamps, value};
+use super::machine::{COMPLETE, figures, forward, motor, simulated, stamps, value};
 use super::machine::{SignalToNoise, random, random_binary, white, with_noise};
 use drivebench::identification::scheme::{CATALOGUE, Data, Scheme};
 use drivebench::identification::scheme_1::{Form, Scheme1};
 use drivebench::numerics::count::whole;
 use drivebench::numerics::statistics::median;
-use drivebench::plant::{Model, Motor, MotorKey, Scenario, State};
+use drivebench::plant::{Input, Model, Motor, MotorKey, Scenario, State};
 use drivebench::sample::{Channel, Origin, Run};
 
 /// Names of the errors, in the order of [`Errors`].
@@ -80,7 +80,8 @@ fn record(
     let times = stamps(period_s, samples);
     let events = times.iter().copied().zip(volts.iter().copied()).collect();
     let name = format!("period {period_s} s, seed {seed}");
-    let mut scenario = driven(name, Channel::VoltageCmd, events, times.clone());
+    let mut scenario =
+        Scenario::planned(name, Input::Voltage, Channel::VoltageCmd, events, times.clone());
     let clean = simulated(motor, &scenario, State::default());
     let sensor = |clean: Vec<f64>, purpose: u64| match noise {
         None => clean,

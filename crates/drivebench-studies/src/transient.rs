@@ -5,23 +5,26 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::figure_3;
-use super::machine::{driven, random, simulated, stamps, value, white, with_noise};
+use super::machine::{random, simulated, stamps, value, white, with_noise};
 use drivebench::identification::recursive::{CurrentIntegral, Scheme2};
 use drivebench::numerics::statistics::{mean, variance};
-use drivebench::plant::{Motor, MotorKey, State, Trajectory};
+use drivebench::plant::{Input, Motor, MotorKey, Scenario, State, Trajectory};
 use drivebench::sample::Channel;
 
 /// The start and its record.
-pub(super) struct Start {
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Start {
     /// The full 110 V would draw 75 A on a motor of 5.7 A; 25 V draws some three times rated.
     pub voltage_v: f64,
     /// A third of L/R = 9 ms; fifty samples cover the transient of a motor with TM = 40 ms.
     pub period_s: f64,
+    #[serde(skip)]
     samples: usize,
     /// Standard deviations of the emulated sensors.
     speed_noise_rad_s: f64,
     current_noise_a: f64,
     /// Points of the curve between two samples.
+    #[serde(skip)]
     fine: usize,
 }
 
@@ -38,10 +41,8 @@ pub(super) const START: Start = Start {
 #[derive(Clone, Debug, Serialize)]
 pub struct Figure4 {
     pub motor: String,
-    pub voltage_v: f64,
-    pub period_s: f64,
-    pub speed_noise_rad_s: f64,
-    pub current_noise_a: f64,
+    #[serde(flatten)]
+    pub settings: Start,
     pub time_s: Vec<f64>,
     pub current_a: Vec<f64>,
     pub speed_rad_s: Vec<f64>,
@@ -65,10 +66,7 @@ pub(super) fn figure_4() -> Figure4 {
     let fine = start(&motor, fine_period_s, points);
     Figure4 {
         motor: motor.name.clone(),
-        voltage_v: START.voltage_v,
-        period_s: START.period_s,
-        speed_noise_rad_s: START.speed_noise_rad_s,
-        current_noise_a: START.current_noise_a,
+        settings: START,
         time_s: stamps(START.period_s, START.samples),
         current_a: record.current_a,
         speed_rad_s: record.speed_rad_s,
@@ -84,7 +82,7 @@ pub(super) fn figure_4() -> Figure4 {
 fn start(motor: &Motor, period_s: f64, samples: usize) -> Trajectory {
     let events = vec![(0.0, START.voltage_v)];
     let times = stamps(period_s, samples);
-    let scenario = driven("start".to_owned(), Channel::Voltage, events, times);
+    let scenario = Scenario::planned("start", Input::Voltage, Channel::Voltage, events, times);
     simulated(motor, &scenario, State::default())
 }
 

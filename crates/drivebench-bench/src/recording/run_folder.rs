@@ -1,12 +1,13 @@
 //! The folder of a run: created once, never overwritten; its small files are replaced atomically.
 
+use drivebench_model::tabulated;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, ErrorKind, Read as _, Write};
 use std::path::{Path, PathBuf};
 
 use super::{Manifest, RecordingError};
 
-named! {
+tabulated! {
     /// The files of a run folder that are written in one go.
     #[derive(Clone, Copy, Debug, PartialEq, Eq)]
     pub enum RunFile {
@@ -21,6 +22,7 @@ named! {
         /// What a controller followed, and its gains, over time.
         Adaptation = "adaptation.csv",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 /// Reads a whole text. Configurations and results are far shorter than 8 MiB; a longer file must not fill the memory.

@@ -1,5 +1,6 @@
 //! Inputs and actions of a session.
 
+use drivebench_model::tabulated;
 use serde::Serialize;
 
 use crate::recording::Event;
@@ -139,7 +140,7 @@ pub enum Action {
     Finished(Outcome),
 }
 
-named! {
+tabulated! {
     #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
     #[serde(rename_all = "snake_case")]
     pub enum Phase {
@@ -157,6 +158,7 @@ named! {
         Tripped = "tripped",
         LinkLost = "link lost",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 impl Phase {

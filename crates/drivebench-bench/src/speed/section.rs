@@ -1,5 +1,6 @@
 //! `[speed]` of a bench file: which controller follows which reference within which limits.
 
+use drivebench_model::tabulated;
 use serde::{Deserialize, Serialize};
 
 use super::reference::{Reference, ReferenceError, ReferencePart};
@@ -9,30 +10,21 @@ use drivebench_control::tuning::Rule;
 use drivebench_control::{Actuator, Addc, LoadObserving, Mrac, PaperB, Pi};
 use drivebench_link::Capabilities;
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum ControllerKind {
-    Pi,
-    #[default]
-    Addc,
-    Mrac,
-    PaperB,
-    LoadObserver,
+tabulated! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum ControllerKind {
+        Pi = Pi::ID,
+        #[default]
+        Addc = Addc::ID,
+        Mrac = Mrac::ID,
+        PaperB = PaperB::ID,
+        LoadObserver = LoadObserving::ID,
+    }
+    pub const fn id(self) -> &'static str;
 }
 
 impl ControllerKind {
-    pub const ALL: [Self; 5] = [Self::Pi, Self::Addc, Self::Mrac, Self::PaperB, Self::LoadObserver];
-
-    pub const fn id(self) -> &'static str {
-        match self {
-            Self::Pi => Pi::ID,
-            Self::Addc => Addc::ID,
-            Self::Mrac => Mrac::ID,
-            Self::PaperB => PaperB::ID,
-            Self::LoadObserver => LoadObserving::ID,
-        }
-    }
-
     /// Through a speed command the inertia is not observable, which ADDC adapts to; the other regulators are designed for the
     /// voltage of a winding.
     pub const fn actuators(self) -> &'static [Actuator] {
@@ -44,7 +36,7 @@ impl ControllerKind {
     }
 }
 
-named! {
+tabulated! {
     #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
     #[serde(rename_all = "snake_case")]
     pub enum ForwardUse {
@@ -54,11 +46,10 @@ named! {
         /// The reference is followed twice from the same beginning, first without, then with.
         Compare = "compare",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 impl ForwardUse {
-    pub const ALL: [Self; 3] = [Self::Off, Self::On, Self::Compare];
-
     /// Whether each pass over the reference has it.
     pub const fn passes(self) -> &'static [bool] {
         match self {

@@ -11,6 +11,7 @@
 
 mod loops;
 
+use drivebench_model::tabulated;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -23,30 +24,22 @@ use drivebench_model::numerics::count;
 /// Least phase margin, degrees, and gain margin of a loop.
 const LEAST_MARGINS: (f64, f64) = (40.0, 1.8);
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Rule {
-    /// Betragsoptimum, Kessler 1955: the closed loop's gain stays one up to as high a frequency as possible.
-    #[default]
-    ModulusOptimum,
-    /// Symmetrisches Optimum, Kessler 1958: the largest phase margin for a plant that integrates.
-    SymmetricalOptimum,
-    /// The two slow poles are placed by natural frequency and damping.
-    PolePlacement,
+tabulated! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "kebab-case")]
+    pub enum Rule {
+        /// Betragsoptimum, Kessler 1955: the closed loop's gain stays one up to as high a frequency as possible.
+        #[default]
+        ModulusOptimum = ["modulus-optimum", "modulus optimum"],
+        /// Symmetrisches Optimum, Kessler 1958: the largest phase margin for a plant that integrates.
+        SymmetricalOptimum = ["symmetrical-optimum", "symmetrical optimum"],
+        /// The two slow poles are placed by natural frequency and damping.
+        PolePlacement = ["pole-placement", "pole placement"],
+    }
+    const fn row(self) -> [&'static str; 2];
 }
 
 impl Rule {
-    pub const ALL: [Self; 3] =
-        [Self::ModulusOptimum, Self::SymmetricalOptimum, Self::PolePlacement];
-
-    const fn row(self) -> [&'static str; 2] {
-        match self {
-            Self::ModulusOptimum => ["modulus-optimum", "modulus optimum"],
-            Self::SymmetricalOptimum => ["symmetrical-optimum", "symmetrical optimum"],
-            Self::PolePlacement => ["pole-placement", "pole placement"],
-        }
-    }
-
     pub const fn id(self) -> &'static str {
         self.row()[0]
     }

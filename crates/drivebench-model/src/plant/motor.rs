@@ -1,39 +1,24 @@
 //! Parameters of the baseline: a permanent-magnet DC motor with Coulomb friction (Leonhard, *Control of Electrical Drives*,
 //! chapter 5).
 
-/// A key of the `[motor]` table, with its unit.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum MotorKey {
-    Resistance,
-    Inductance,
-    BackEmf,
-    TorqueConstant,
-    Inertia,
-    LoadTorque,
+use crate::tabulated;
+
+tabulated! {
+    /// A key of the `[motor]` table, with its unit.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+    pub enum MotorKey {
+        Resistance = ["resistance_ohm", "ohm", "resistance"],
+        Inductance = ["inductance_h", "H", "inductance"],
+        BackEmf = ["back_emf_v_s_per_rad", "V.s/rad", "back-EMF constant"],
+        TorqueConstant = ["torque_n_m_per_a", "N.m/A", "torque constant"],
+        Inertia = ["inertia_kg_m2", "kg.m2", "inertia"],
+        LoadTorque = ["load_torque_n_m", "N.m", "load torque"],
+    }
+    /// Key in a model file, unit and name.
+    const fn row(self) -> [&'static str; 3];
 }
 
 impl MotorKey {
-    pub const ALL: [Self; 6] = [
-        Self::Resistance,
-        Self::Inductance,
-        Self::BackEmf,
-        Self::TorqueConstant,
-        Self::Inertia,
-        Self::LoadTorque,
-    ];
-
-    /// Key in a model file, unit and name.
-    const fn row(self) -> [&'static str; 3] {
-        match self {
-            Self::Resistance => ["resistance_ohm", "ohm", "resistance"],
-            Self::Inductance => ["inductance_h", "H", "inductance"],
-            Self::BackEmf => ["back_emf_v_s_per_rad", "V.s/rad", "back-EMF constant"],
-            Self::TorqueConstant => ["torque_n_m_per_a", "N.m/A", "torque constant"],
-            Self::Inertia => ["inertia_kg_m2", "kg.m2", "inertia"],
-            Self::LoadTorque => ["load_torque_n_m", "N.m", "load torque"],
-        }
-    }
-
     pub const fn key(self) -> &'static str {
         self.row()[0]
     }

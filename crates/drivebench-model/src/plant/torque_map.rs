@@ -1,5 +1,6 @@
 //! A measured torque as a table: friction over both directions of the speed, or cogging over a turn of the shaft.
 
+use crate::tabulated;
 use std::f64::consts::TAU;
 use std::fmt::Write as _;
 
@@ -13,25 +14,19 @@ use crate::numerics::statistics::largest;
 /// Columns behind the axis.
 const COLUMNS: &str = "torque_n_m,torque_low_n_m,torque_high_n_m,windows";
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MappedTorque {
-    /// Everything that depends on the speed alone, over the speed.
-    Friction,
-    /// The part that depends on the angle and not on the current, over one turn.
-    Cogging,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum MappedTorque {
+        /// Everything that depends on the speed alone, over the speed.
+        Friction = "friction",
+        /// The part that depends on the angle and not on the current, over one turn.
+        Cogging = "cogging",
+    }
+    pub const fn name(self) -> &'static str;
 }
 
 impl MappedTorque {
-    pub const ALL: [Self; 2] = [Self::Friction, Self::Cogging];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Friction => "friction",
-            Self::Cogging => "cogging",
-        }
-    }
-
     /// Key and unit of the axis.
     pub const fn axis(self) -> (&'static str, &'static str) {
         match self {

@@ -1,54 +1,29 @@
 //! The table of quantities that a run can carry.
 
-/// One quantity: its CSV column, symbol and unit stand in one table, [`Channel::ALL`] in column order.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub enum Channel {
-    Reference,
-    VoltageCmd,
-    CurrentCmd,
-    Voltage,
-    Current,
-    Speed,
-    Angle,
-    Torque,
-    Bus,
-    Temperature,
-    /// No signal of the motor but the uncertainty of the row's stamp: see [`super::Sample::time_half_width_s`].
-    TimeHalfWidth,
+use crate::tabulated;
+
+tabulated! {
+    /// One quantity: its CSV column, symbol and unit stand in one table, [`Channel::ALL`] in column order.
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+    pub enum Channel {
+        Reference = ("reference_rad_s", "speed reference", "w*", "rad/s"),
+        VoltageCmd = ("voltage_cmd_v", "voltage command", "u*", "V"),
+        CurrentCmd = ("current_cmd_a", "current command", "i*", "A"),
+        Voltage = ("voltage_v", "voltage", "u", "V"),
+        Current = ("current_a", "current", "i", "A"),
+        Speed = ("speed_rad_s", "speed", "w", "rad/s"),
+        Angle = ("angle_rad", "angle", "theta", "rad"),
+        Torque = ("torque_n_m", "torque", "T", "N.m"),
+        Bus = ("bus_v", "bus voltage", "ubus", "V"),
+        Temperature = ("temperature_c", "temperature", "temp", "C"),
+        /// No signal of the motor but the uncertainty of the row's stamp: see [`super::Sample::time_half_width_s`].
+        TimeHalfWidth = ("time_half_width_s", "half-width of the stamp", "dt", "s"),
+    }
+    const fn row(self) -> (&'static str, &'static str, &'static str, &'static str);
 }
 
 impl Channel {
-    pub const COUNT: usize = 11;
-
-    pub const ALL: [Self; Self::COUNT] = [
-        Self::Reference,
-        Self::VoltageCmd,
-        Self::CurrentCmd,
-        Self::Voltage,
-        Self::Current,
-        Self::Speed,
-        Self::Angle,
-        Self::Torque,
-        Self::Bus,
-        Self::Temperature,
-        Self::TimeHalfWidth,
-    ];
-
-    const fn row(self) -> (&'static str, &'static str, &'static str, &'static str) {
-        match self {
-            Self::Reference => ("reference_rad_s", "speed reference", "w*", "rad/s"),
-            Self::VoltageCmd => ("voltage_cmd_v", "voltage command", "u*", "V"),
-            Self::CurrentCmd => ("current_cmd_a", "current command", "i*", "A"),
-            Self::Voltage => ("voltage_v", "voltage", "u", "V"),
-            Self::Current => ("current_a", "current", "i", "A"),
-            Self::Speed => ("speed_rad_s", "speed", "w", "rad/s"),
-            Self::Angle => ("angle_rad", "angle", "theta", "rad"),
-            Self::Torque => ("torque_n_m", "torque", "T", "N.m"),
-            Self::Bus => ("bus_v", "bus voltage", "ubus", "V"),
-            Self::Temperature => ("temperature_c", "temperature", "temp", "C"),
-            Self::TimeHalfWidth => ("time_half_width_s", "half-width of the stamp", "dt", "s"),
-        }
-    }
+    pub const COUNT: usize = Self::ALL.len();
 
     /// The CSV column and configuration key, with its unit suffix.
     pub const fn key(self) -> &'static str {

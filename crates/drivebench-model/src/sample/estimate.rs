@@ -1,34 +1,26 @@
 //! An estimated parameter with its standard deviation and verdict.
 
+use crate::tabulated;
 use serde::ser::SerializeStruct as _;
 use serde::{Deserialize, Serialize, Serializer};
 
 use crate::findings;
 use crate::text::number::{self, significant, with_std, with_unit};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Verdict {
-    Settled,
-    Searching,
-    /// Not determined by the data: value and standard deviation are null.
-    NotObservable,
-    /// Physically impossible value: shown, with the reason.
-    Invalid,
-    /// Given by the user, not fitted.
-    Fixed,
-}
-
-impl Verdict {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Settled => "settled",
-            Self::Searching => "searching",
-            Self::NotObservable => "not observable",
-            Self::Invalid => "invalid",
-            Self::Fixed => "fixed",
-        }
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Verdict {
+        Settled = "settled",
+        Searching = "searching",
+        /// Not determined by the data: value and standard deviation are null.
+        NotObservable = "not observable",
+        /// Physically impossible value: shown, with the reason.
+        Invalid = "invalid",
+        /// Given by the user, not fitted.
+        Fixed = "fixed",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 findings! {

@@ -1,5 +1,6 @@
 //! One measured instant.
 
+use crate::tabulated;
 use std::sync::Arc;
 
 use super::{Channel, Sensors};
@@ -13,25 +14,17 @@ pub enum Quality {
     Missing,
 }
 
-/// State of the drive, reduced to the states that every drive has.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum DriveState {
-    #[default]
-    Disabled,
-    Ready,
-    Running,
-    Fault,
-}
-
-impl DriveState {
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Disabled => "disabled",
-            Self::Ready => "ready",
-            Self::Running => "running",
-            Self::Fault => "fault",
-        }
+tabulated! {
+    /// State of the drive, reduced to the states that every drive has.
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+    pub enum DriveState {
+        #[default]
+        Disabled = "disabled",
+        Ready = "ready",
+        Running = "running",
+        Fault = "fault",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 /// Reason, other than a fault, for which a drive does not follow the bus.

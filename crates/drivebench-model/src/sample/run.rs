@@ -1,58 +1,39 @@
 //! A recorded data set, in columns.
 
+use crate::tabulated;
 use thiserror::Error;
 
 use super::{Channel, Sample};
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Origin {
-    /// Sampled by an instrument at the row's instant.
-    Measured,
-    /// Computed by the drive from other quantities.
-    Estimated,
-    /// The requested value, stamped with the instant from which it was applied.
-    Commanded,
-    /// Computed by this program, as speed from angle.
-    Derived,
-    #[default]
-    Unknown,
-}
-
-impl Origin {
-    pub const ALL: [Self; 5] =
-        [Self::Measured, Self::Estimated, Self::Commanded, Self::Derived, Self::Unknown];
-
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Origin {
+        /// Sampled by an instrument at the row's instant.
+        Measured = "measured",
+        /// Computed by the drive from other quantities.
+        Estimated = "estimated",
+        /// The requested value, stamped with the instant from which it was applied.
+        Commanded = "commanded",
+        /// Computed by this program, as speed from angle.
+        Derived = "derived",
+        #[default]
+        Unknown = "unknown",
+    }
     /// As in files and on the command line.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Measured => "measured",
-            Self::Estimated => "estimated",
-            Self::Commanded => "commanded",
-            Self::Derived => "derived",
-            Self::Unknown => "unknown",
-        }
-    }
+    pub const fn name(self) -> &'static str;
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Side {
-    /// At the motor's terminals.
-    Terminal,
-    /// Between supply and drive: the duty cycle relates it to the motor.
-    Supply,
-}
-
-impl Side {
-    pub const ALL: [Self; 2] = [Self::Terminal, Self::Supply];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Terminal => "terminal",
-            Self::Supply => "supply",
-        }
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Side {
+        /// At the motor's terminals.
+        Terminal = "terminal",
+        /// Between supply and drive: the duty cycle relates it to the motor.
+        Supply = "supply",
     }
+    pub const fn name(self) -> &'static str;
 }
 
 /// What is known of the sensors and the power stage of a run: a part of every model of it.

@@ -6,6 +6,7 @@
 //! rows of cells --------------------> columns -> cells of one width  table in the terminal and in Markdown
 //! word ----------------------------> shell --> as a command takes it
 //! finding -------------------------> codes --> its code in JSON
+//! variant -------------------------> tabulated -> its name, in one table with all variants
 //! ```
 //!
 //! Files for programs (CSV, JSON, model files) have all digits and are written by other modules.
@@ -15,3 +16,4 @@ pub mod columns;
 pub mod lines;
 pub mod number;
 pub mod shell;
+mod tabulated;

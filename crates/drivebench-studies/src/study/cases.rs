@@ -1,6 +1,7 @@
 //! The sets of the study: what is hidden and how large (drawn evenly, about 3 to 15 % of what the motor is rated for), how it
 //! is excited, which names are right. The emulator's effects define their sizes.
 
+use drivebench::tabulated;
 use rand_chacha::ChaCha8Rng;
 use serde::Serialize;
 
@@ -28,33 +29,22 @@ const SECONDS: f64 = 12.0;
 /// The class in tables of machines in which nothing is hidden.
 pub const NOTHING: &str = "nothing";
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Excitation {
-    Rich,
-    Steps,
-    Unipolar,
-    Prbs,
-    Ramp,
-    /// The rich sequence over a serial link.
-    Rich100Hz,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Excitation {
+        Rich = "rich",
+        Steps = "steps",
+        Unipolar = "unipolar",
+        Prbs = "prbs",
+        Ramp = "ramp",
+        /// The rich sequence over a serial link.
+        Rich100Hz = "rich 100 Hz",
+    }
+    pub const fn name(self) -> &'static str;
 }
 
 impl Excitation {
-    pub const ALL: [Self; 6] =
-        [Self::Rich, Self::Steps, Self::Unipolar, Self::Prbs, Self::Ramp, Self::Rich100Hz];
-
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Rich => "rich",
-            Self::Steps => "steps",
-            Self::Unipolar => "unipolar",
-            Self::Prbs => "prbs",
-            Self::Ramp => "ramp",
-            Self::Rich100Hz => "rich 100 Hz",
-        }
-    }
-
     pub const fn description(self) -> &'static str {
         match self {
             Self::Rich => {

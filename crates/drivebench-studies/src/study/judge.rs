@@ -1,5 +1,6 @@
 //! Assessment of an answer: for each effect of the catalogue the finding and the truth, and the outcome of the whole.
 
+use drivebench::tabulated;
 use serde::{Deserialize, Serialize};
 
 use super::calibration::{INTERVAL_SIGMAS, ParameterFinding, parameters_of};
@@ -28,41 +29,29 @@ pub(super) fn are_twins(a: &str, b: &str) -> bool {
     a != b && TWINS[0].contains(&a) && TWINS[0].contains(&b)
 }
 
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Outcome {
-    /// Every hidden effect is named, nothing else is. Where nothing known is hidden: the verdict is so.
-    Right,
-    /// The twin of the hidden effect is named.
-    Twin,
-    /// The answer is a set of effects that explain the run alike, and all that is hidden is in it.
-    Ambiguous,
-    /// A part of what is hidden is named, and nothing that is not there; or a part is in an ambiguous set.
-    Partial,
-    /// Nothing is named, and the effect is reported as not excited.
-    NotExcited,
-    /// Nothing is named: no missing effect is visible, or none that is known explains the error.
-    Abstained,
-    /// Something is named that is not there, or a wave with another number of cogs.
-    Wrong,
-    /// No answer: the fit or the study failed.
-    #[default]
-    Failed,
-}
-
-impl Outcome {
-    pub(super) const fn reason(self) -> &'static str {
-        match self {
-            Self::Right => "the answer is what is hidden, and nothing else",
-            Self::Twin => "the twin of what is hidden was named",
-            Self::Ambiguous => "what is hidden is in the set that the answer leaves open",
-            Self::Partial => "a part of what is hidden was named, and nothing that is not there",
-            Self::NotExcited => "what is hidden was reported as not excited",
-            Self::Abstained => "what is hidden was not named, and nothing else was",
-            Self::Wrong => "what was named is not there, or has another number of waves",
-            Self::Failed => "there is no answer",
-        }
+tabulated! {
+    #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+    #[serde(rename_all = "snake_case")]
+    pub enum Outcome {
+        /// Every hidden effect is named, nothing else is. Where nothing known is hidden: the verdict is so.
+        Right = "the answer is what is hidden, and nothing else",
+        /// The twin of the hidden effect is named.
+        Twin = "the twin of what is hidden was named",
+        /// The answer is a set of effects that explain the run alike, and all that is hidden is in it.
+        Ambiguous = "what is hidden is in the set that the answer leaves open",
+        /// A part of what is hidden is named, and nothing that is not there; or a part is in an ambiguous set.
+        Partial = "a part of what is hidden was named, and nothing that is not there",
+        /// Nothing is named, and the effect is reported as not excited.
+        NotExcited = "what is hidden was reported as not excited",
+        /// Nothing is named: no missing effect is visible, or none that is known explains the error.
+        Abstained = "what is hidden was not named, and nothing else was",
+        /// Something is named that is not there, or a wave with another number of cogs.
+        Wrong = "what was named is not there, or has another number of waves",
+        /// No answer: the fit or the study failed.
+        #[default]
+        Failed = "there is no answer",
     }
+    pub(super) const fn reason(self) -> &'static str;
 }
 
 #[derive(Clone, Debug, Default, Serialize)]

@@ -63,6 +63,7 @@ pub use table::{Axis, weights as table_weights};
 pub use terms::{Coupling, Instant, Path, Sums, Terms};
 
 use crate::plant::run_scales::Measure;
+use crate::tabulated;
 use parameter::WAVE_ORDERS;
 use terms::{
     begun, current_rate_gain, friction, inertia_gain, path, torque, voltage, voltage_and_torque,
@@ -108,10 +109,13 @@ pub fn find(id: &str) -> Option<&'static dyn Effect> {
     CATALOGUE.iter().copied().find(|effect| effect.card().id == id)
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Balance {
-    Voltage,
-    Torque,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Balance {
+        Voltage = "voltage",
+        Torque = "torque",
+    }
+    pub const fn key(self) -> &'static str;
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -125,13 +129,6 @@ pub enum Enters {
 }
 
 impl Balance {
-    pub const fn key(self) -> &'static str {
-        match self {
-            Self::Voltage => "voltage",
-            Self::Torque => "torque",
-        }
-    }
-
     pub const fn unit(self) -> &'static str {
         match self {
             Self::Voltage => "V",

@@ -1,5 +1,6 @@
 //! `table`: a learned piecewise linear curve over one axis, for an unidentified effect.
 
+use crate::tabulated;
 use std::f64::consts::TAU;
 
 use super::definition::{
@@ -24,29 +25,20 @@ pub(super) const CARD: Card = Card {
     ..Card::PLAIN
 };
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Axis {
-    Speed,
-    Current,
-    Angle,
-    Time,
-    Voltage,
+tabulated! {
+    #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+    pub enum Axis {
+        Speed = ("speed_rad_s", "rad/s"),
+        Current = ("current_a", "A"),
+        Angle = ("angle_rad", "rad"),
+        Time = ("time_s", "s"),
+        Voltage = ("voltage_v", "V"),
+    }
+    /// Key in a model file and unit.
+    const fn names(self) -> (&'static str, &'static str);
 }
 
 impl Axis {
-    pub const ALL: [Self; 5] = [Self::Speed, Self::Current, Self::Angle, Self::Time, Self::Voltage];
-
-    /// Key in a model file and unit.
-    const fn names(self) -> (&'static str, &'static str) {
-        match self {
-            Self::Speed => ("speed_rad_s", "rad/s"),
-            Self::Current => ("current_a", "A"),
-            Self::Angle => ("angle_rad", "rad"),
-            Self::Time => ("time_s", "s"),
-            Self::Voltage => ("voltage_v", "V"),
-        }
-    }
-
     pub const fn key(self) -> &'static str {
         self.names().0
     }
