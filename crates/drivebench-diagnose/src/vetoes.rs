@@ -25,6 +25,10 @@ const BY_CHANCE_DEVIANCE: f64 = 10.0;
 /// where the samples are too few to show whether errors are alike, or no posterior stands, three quarters of them.
 pub(super) const CLEAR_FALL_RATIOS: [f64; 2] = [1.25, 2.0];
 
+/// Most by which an effect that is there raises the held-out error of a model that has others, as a ratio: alone it was 1.007 in 976
+/// machines of the study.
+const MOST_RISE: f64 = 1.01;
+
 /// Share of the squares that effects explain which the difference between their forms and those of the machine leaves: a harmonic of a
 /// ripple with a seventh of its amplitude.
 const FORM_SQUARES: f64 = 0.02;
@@ -385,8 +389,9 @@ fn without_use(
                 let ratio = if is_of_sensors { AS_GOOD } else { clear };
                 let is_alone = pair[0].fit.model.effects.is_empty();
                 let may_be_faint = is_of_sensors && is_alone;
-                // Of 976 machines of the study three effects that were there and alone raised it, by .1 to .7 %.
-                let rises = is_alone && before < after && !happens_once(id);
+                // A filter of the current that was not there, next to a voltage drop, raised it by 1.2 %.
+                let most = if is_alone { 1.0 } else { MOST_RISE };
+                let rises = after > most * before && !happens_once(id);
                 let is_no_lower = rises || !is_noise && before <= after;
                 is_no_lower || !may_be_faint && is_faint_event(id, pair, ratio)
             }
