@@ -84,7 +84,7 @@ mod tests {
                 *current = quantum * ((*current / quantum + offset).round() - offset);
             }
             let noise = NoiseFloor::from_standstill(&run).unwrap();
-            let found = fit(&[truth.clone()], &run, &noise).unwrap();
+            let found = fit(std::slice::from_ref(&truth), &run, &noise).unwrap();
             let own = ParameterEstimate::find(&found.parameters, MotorKey::LoadTorque.key());
             let (value, std) = own.and_then(ParameterEstimate::carried).unwrap();
             (value - friction, std.unwrap())
