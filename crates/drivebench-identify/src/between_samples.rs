@@ -11,8 +11,6 @@ use drivebench_model::signal::Window;
 
 /// A second difference beyond this many standard deviations of its noise is a corner of the current.
 const CORNER_DEVIATIONS: f64 = 4.0;
-/// Least ratio of a second difference to the larger of its two first ones: a decay with two periods in a time constant has .4.
-const CORNER_SHARE: f64 = 0.5;
 
 /// Change of the current over each interval between two samples that has a corner at one of its ends, A; else zero.
 pub(super) fn changes_at_corners(current_a: &[f64], noise_a: f64) -> Vec<f64> {
@@ -20,8 +18,9 @@ pub(super) fn changes_at_corners(current_a: &[f64], noise_a: f64) -> Vec<f64> {
     // The variance of a second difference is six times that of a sample.
     let least = CORNER_DEVIATIONS * 6.0_f64.sqrt() * noise_a;
     let is_corner = |pair: &[f64]| {
-        let larger = pair[0].abs().max(pair[1].abs());
-        (pair[1] - pair[0]).abs() > least.max(CORNER_SHARE * larger)
+        // Half of the larger difference: a decay with two periods in a time constant has .4 of it.
+        let share = 0.5 * pair[0].abs().max(pair[1].abs());
+        (pair[1] - pair[0]).abs() > least.max(share)
     };
     let corners: Vec<bool> = changes.windows(2).map(is_corner).collect();
     let has_corner = |interval: usize| {
